@@ -19,7 +19,6 @@ import importlib
 import json
 import re
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,22 +36,20 @@ from edge.perception.runtime.card_types import Card, ChoiceCard, DetectCard, Tex
 from edge.perception.runtime.cards import read_card
 from exporters.encoder_parity import EmbeddingReport
 from exporters.files import ExportError, exit_on_user_error
-from exporters.fp16 import write_fp16
 from exporters.images import PROMPTS, TextEmbeddings, digest_of, load_text_embeddings
 from exporters.parity import (
     FP16_LIMITS,
     FP32_LIMITS,
     INT8_LIMITS,
     ParityReport,
-    check_parity,
     measure,
     torch_model,
 )
 from exporters.quantize import (
     calibration_feeds,
+    derive,
     input_hw,
     pictures,
-    quantize,
     require_calibration,
     split_images,
 )
@@ -192,8 +189,8 @@ def _export_fp32(
         export_onnx(detector, card.input.height, card.input.width, temporary)
         if validation := pictures(args.calibration, args.validation)[1]:
             report = measure(torch_model(detector), temporary, validation, text)
-            _check_step(card, args, report, FP32_LIMITS, reference="torch")
-    _write_sidecar(card, out, report, "torch", calibration=None)
+            report.accept(card.name, "torch", None if args.no_gate else FP32_LIMITS)
+    _finish_step(card, args, report, "torch")
     return report
 
 
@@ -206,49 +203,33 @@ def _export_derived(
     print(f"{card.name}: {len(calibration)} images to calibrate on", file=sys.stderr)
     feeds = calibration_feeds(calibration, text, input_hw(onnx.load(source)))
     with replace_atomically(out) as temporary:
-        if card.precision == "fp16":
-            write_fp16(source, temporary, feeds, recipe)
-        else:
-            quantize(source, temporary, feeds, recipe, card.precision)
+        derive(source, temporary, feeds, recipe, card.precision)
         report = measure(source, temporary, validation, text)
         limits = FP16_LIMITS if card.precision == "fp16" else INT8_LIMITS
-        _check_step(card, args, report, limits, reference=fp32.name)
-    _write_sidecar(card, out, report, fp32.name, digest_of(calibration))
+        report.accept(card.name, fp32.name, None if args.no_gate else limits)
+    _finish_step(card, args, report, fp32.name, digest_of(calibration))
     return report
 
 
-def _check_step(
+def _finish_step(
     card: DetectCard,
     args: argparse.Namespace,
-    report: ParityReport,
-    limits: Mapping[str, float],
+    report: ParityReport | None,
     reference: str,
+    calibration_sha256: str | None = None,
 ) -> None:
-    """Print a step's parity, check it against its limits, and write it to the card if asked."""
-    print(f"{card.name} against {reference}:\n{report.table()}", file=sys.stderr)
-    if not args.no_gate:
-        check_parity(report, limits, card.name)
-    if args.update_card:
-        _update_card(args.cards / f"{card.name}.yaml", report.for_card(reference))
+    """Write the sidecar of a detector's file, and its parity into the card if asked."""
+    weights = next((source.sha256 for source in card.weights_sources()), None)
+    parity = report.for_card(reference) if report else None
+    write_sidecar(args.cache / card.file, card.name, parity, weights, calibration_sha256)
+    if args.update_card and parity is not None:
+        _update_card(args.cards / f"{card.name}.yaml", parity)
 
 
 def _update_card(path: Path, parity: dict) -> None:
     """Replace the card's measured parity; the other keys keep their order."""
     card = {**yaml.safe_load(path.read_text(encoding="utf-8")), "parity": parity}
     write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
-
-
-def _write_sidecar(
-    card: DetectCard,
-    out: Path,
-    report: ParityReport | None,
-    reference: str,
-    calibration: str | None,
-) -> None:
-    """Write the sidecar of a detector's file; see `exporters.sidecar`."""
-    weights = next((source.sha256 for source in card.weights_sources()), None)
-    parity = report.for_card(reference) if report else None
-    write_sidecar(out, card.name, parity, weights, calibration)
 
 
 def export_folder(args: argparse.Namespace) -> None:

@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 import torch
-import yaml
 from torch import Tensor, nn
 
 from edge import names
@@ -29,15 +27,12 @@ from edge.perception.scoring.similarity import SENTENCE
 from edge.text import one_line
 from exporters import hugging_face
 from exporters.encoder_parity import LIMITS, EmbeddingReport, compare
-from exporters.files import ExportError, sha256_of
-from exporters.fp16 import write_fp16
+from exporters.files import ExportError, sha256_of, write_card
 from exporters.images import PROMPTS, digest_of, read_rgb
-from exporters.onnx_format import check_format, cpu_session, export_module
-from exporters.quantize import pictures, precisions_to_make, quantize
-from exporters.recipes import TRANSFORMER, Recipe
-from exporters.reports import check_limits
+from exporters.onnx_format import cpu_session, export_module
+from exporters.quantize import derive, pictures, precisions_to_make
+from exporters.recipes import TRANSFORMER
 from exporters.sidecar import write_sidecar
-from exporters.weight_only import quantize_weights
 
 TEXT_PRECISION = {"fp32": "fp32", "fp16": "fp16", "int8-cpu": "int8"}
 """Precision of the text tower, by that of the image tower. A text is encoded once per mission, so
@@ -163,8 +158,7 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
         for card in cards[precision][:2]:  # the towers; the third card has no file
             reports[card["name"]] = exporter.make(card)
         for card in cards[precision]:
-            path = args.cache / f"{card['name']}.yaml"
-            write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
+            write_card(card, args.cache)
     return reports
 
 
@@ -306,7 +300,7 @@ class _TowerExporter:
                 export_tower(tower, temporary, task, self._example(card))
             else:
                 fp32 = self._args.cache / f"{source}.onnx"
-                derive(fp32, temporary, self._feeds[task], precision)
+                derive(fp32, temporary, self._feeds[task], TRANSFORMER, precision)
             report = self._measure(card, temporary, precision)
         parity = report.for_card("torch") if report else None
         digest = self._digest if task == "image" and source is not None else None
@@ -323,9 +317,7 @@ class _TowerExporter:
         found = embed_onnx(temporary, self._tests[task])
         other = self._reference["text" if task == "image" else "image"]
         report = compare(self._reference[task], found, other)
-        print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
-        if not self._args.no_gate:
-            check_limits(report, LIMITS[precision], card["name"])
+        report.accept(card["name"], "torch", None if self._args.no_gate else LIMITS[precision])
         return report
 
     def _example(self, card: dict[str, Any]) -> Tensor:
@@ -360,17 +352,6 @@ def export_tower(tower: nn.Module, out: Path, task: str, example: Tensor) -> Non
     export_module(tower, out, {name: example}, ("embeddings",), free)
 
 
-def derive(fp32: Path, out: Path, feeds: list[dict[str, np.ndarray]], precision: str) -> None:
-    """Write another precision of a FP32 ONNX file to `out`."""
-    if precision == "fp16":
-        write_fp16(fp32, out, feeds, Recipe())
-    elif precision == "int8-cpu":
-        quantize(fp32, out, feeds, TRANSFORMER, precision)
-    else:
-        onnx.save(quantize_weights(onnx.load(fp32), precision), out)
-        check_format(out)
-
-
 def make_text_encoder(
     card: dict[str, Any], tower: nn.Module, tokens: np.ndarray, weights_sha256: str, args: Any
 ) -> EmbeddingReport:
@@ -391,11 +372,9 @@ def make_text_encoder(
             export_tower(tower, temporary, "text", torch.from_numpy(tokens[:2]))
         else:
             feeds = [{"tokens": row} for row in rows]
-            derive(args.cache / f"{source}.onnx", temporary, feeds, precision)
+            derive(args.cache / f"{source}.onnx", temporary, feeds, TRANSFORMER, precision)
         report = compare(embed_torch(tower, rows), embed_onnx(temporary, rows))
-        print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
-        if not args.no_gate:
-            check_limits(report, LIMITS[precision], card["name"])
+        report.accept(card["name"], "torch", None if args.no_gate else LIMITS[precision])
     write_sidecar(out, card["name"], report.for_card("torch"), weights_sha256)
     return report
 

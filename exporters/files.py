@@ -1,4 +1,4 @@
-"""Errors of the export programs for the user, and checks of options and file hashes."""
+"""Errors of the export programs for the user, checks of options and file hashes, and cards."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from edge.errors import UserError
+from edge.host.files import write_atomically
 from edge.perception.runtime import model_file
 
 
@@ -56,3 +60,9 @@ def check_sha256(path: Path, expected: str) -> None:
             f"{path}: SHA-256 is {found[:12]}…, expected {expected[:12]}…; the file is not loaded, "
             "because a checkpoint can run code; fetch the file again from the card's sources"
         )
+
+
+def write_card(card: dict[str, Any], folder: Path) -> None:
+    """Write a model card as `NAME.yaml`."""
+    text = yaml.safe_dump(card, sort_keys=False, width=110)
+    write_atomically(folder / f"{card['name']}.yaml", text.encode())

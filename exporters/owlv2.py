@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from torch import Tensor, nn
 
 from edge import names
@@ -31,8 +30,7 @@ from exporters.clip import (
     tokens_of,
 )
 from exporters.encoder_parity import EmbeddingReport
-from exporters.files import ExportError, sha256_of
-from exporters.fp16 import write_fp16
+from exporters.files import ExportError, sha256_of, write_card
 from exporters.images import PROMPTS, Border, TextEmbeddings, digest_of
 from exporters.onnx_format import export_module
 from exporters.parity import (
@@ -40,11 +38,10 @@ from exporters.parity import (
     FP32_LIMITS,
     INT8_LIMITS,
     ParityReport,
-    check_parity,
     measure,
     torch_model,
 )
-from exporters.quantize import calibration_feeds, pictures, precisions_to_make, quantize
+from exporters.quantize import calibration_feeds, derive, pictures, precisions_to_make
 from exporters.recipes import OWL
 from exporters.sidecar import write_sidecar
 from exporters.yolo_world import INPUTS, OUTPUTS
@@ -123,8 +120,7 @@ def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
         reports[text_card["name"]] = make_text_encoder(text_card, tower, tokens, digest, args)
         reports[detect_card["name"]] = _make_detector(detect_card, detector, prompts, digest, args)
         for card in cards:
-            path = args.cache / f"{card['name']}.yaml"
-            write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
+            write_card(card, args.cache)
     return reports
 
 
@@ -186,14 +182,10 @@ def _make_detector(
             export_onnx(detector, prompts.emb.shape[1], temporary)
         else:
             feeds = calibration_feeds(calibration, prompts, hw, border=CORNER)
-            make = write_fp16 if precision == "fp16" else quantize
-            rest = () if precision == "fp16" else (precision,)
-            make(args.cache / f"{source}.onnx", temporary, feeds, OWL, *rest)
+            derive(args.cache / f"{source}.onnx", temporary, feeds, OWL, precision)
         if validation:
             report = measure(torch_model(detector), temporary, validation, prompts, CORNER)
-            print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
-            if not args.no_gate:
-                check_parity(report, LIMITS[precision], card["name"])
+            report.accept(card["name"], "torch", None if args.no_gate else LIMITS[precision])
     parity = report.for_card("torch") if report else None
     digest = None if source is None else digest_of(calibration)
     write_sidecar(out, card["name"], parity, weights_sha256, digest)

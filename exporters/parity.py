@@ -14,7 +14,7 @@ from edge.lab.bench.boxes import DetectedBoxes, match_to_reference, overlaps
 from exporters.files import ExportError
 from exporters.images import CENTRED, Border, TextEmbeddings, load_input
 from exporters.onnx_format import check_format, cpu_session
-from exporters.reports import Report, check_limits
+from exporters.reports import Report
 
 SCORE_THRESHOLD = 0.3
 """Boxes with lower scores are no detections."""
@@ -65,6 +65,16 @@ class ParityReport(Report):
             "precision": round(self.precision, 3),
             "score_error": None if unknown else round(self.score_error, 3),
         }
+
+    def accept(self, what: str, reference: str, limits: Mapping[str, float] | None) -> None:
+        """Also raise ExportError if the reference detects nothing; see `Report.accept`."""
+        super().accept(what, reference, limits)
+        if limits is not None and not self.detections:
+            raise ExportError(
+                f"{what}: the original model detects nothing above {SCORE_THRESHOLD} in "
+                f"{self.images} images, so the new model cannot be compared; give images that show "
+                "the objects"
+            )
 
 
 def select_boxes(
@@ -130,17 +140,6 @@ def _finite(
                 "finite; check the export of the model"
             )
     return outputs[0][0], outputs[1][0]
-
-
-def check_parity(report: ParityReport, limits: Mapping[str, float], what: str) -> None:
-    """Raise ExportError if a figure is worse than its limit, or the reference detects nothing."""
-    if not report.detections:
-        raise ExportError(
-            f"{what}: the original model detects nothing above {SCORE_THRESHOLD} in "
-            f"{report.images} images, so the new model cannot be compared; give images that show "
-            "the objects"
-        )
-    check_limits(report, limits, what)
 
 
 def onnx_model(path: Path) -> tuple[Model, tuple[int, int]]:

@@ -32,11 +32,12 @@ from exporters.calibration import (
     silu,
 )
 from exporters.files import ExportError
-from exporters.fp16 import kept_nodes, to_fp16
+from exporters.fp16 import kept_nodes, to_fp16, write_fp16
 from exporters.images import CENTRED, Border, TextEmbeddings, list_images, load_input
 from exporters.onnx_format import check_format
 from exporters.recipes import Recipe, nodes_like
 from exporters.rounding import round_weights
+from exporters.weight_only import quantize_weights
 
 PRECISIONS = ("int8-cpu", "int8-trt")
 MIN_IMAGES = 4
@@ -51,6 +52,17 @@ prompts, benchmarks many."""
 
 PASSES_RANGE_ON = {"Slice", "Reshape", "Transpose", "Resize", "MaxPool", "Unsqueeze", "Expand"}
 """Operators whose output has the range of its input, so that 8-bit values pass unchanged."""
+
+
+def derive(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision: str) -> None:
+    """Write another precision of a FP32 file to `out`."""
+    if precision == "fp16":
+        write_fp16(fp32, out, feeds, recipe)
+    elif precision in PRECISIONS:
+        quantize(fp32, out, feeds, recipe, precision)
+    else:
+        onnx.save(quantize_weights(onnx.load(fp32), precision), out)
+        check_format(out)
 
 
 def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision: str) -> None:

@@ -1,8 +1,9 @@
-"""Base class of the reports of parity checks, and the check of a report against its limits."""
+"""Base class of the reports of parity checks."""
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -27,29 +28,30 @@ class Report:
         """Return one readable line per figure."""
         return "\n".join(f"  {name:<16}{value!s:>12}" for name, value in self.figures().items())
 
+    def accept(self, what: str, reference: str, limits: Mapping[str, float] | None) -> None:
+        """Print the figures; raise ExportError if one is worse than its limit, if there are any.
+
+        An unknown figure fails its limit, except for `MAY_BE_UNKNOWN`.
+        """
+        print(f"{what} against {reference}:\n{self.table()}", file=sys.stderr)
+        worse = []
+        for name, limit in (limits or {}).items():
+            value = getattr(self, name)
+            if math.isnan(value) and name in MAY_BE_UNKNOWN:
+                continue
+            is_within = value <= limit if name in AT_MOST else value >= limit  # False for NaN
+            if not is_within:
+                worse.append(f"{name} {value:.4g} {'>' if name in AT_MOST else '<'} {limit:.4g}")
+        if worse:
+            raise ExportError(
+                f"{what}: differs too much from the original model ({', '.join(worse)}); calibrate "
+                "on more images like those that the robot sees, or keep the file anyway with "
+                "--no-gate"
+            )
+
 
 def _rounded(value: float) -> float | None:
     """Return a figure with six digits; None for NaN."""
     if math.isnan(value):
         return None
     return value if isinstance(value, int) else float(f"{value:.6g}")
-
-
-def check_limits(report: Report, limits: Mapping[str, float], what: str) -> None:
-    """Raise ExportError if a figure of the report is worse than its limit.
-
-    An unknown figure fails its limit, except for `MAY_BE_UNKNOWN`.
-    """
-    worse = []
-    for name, limit in limits.items():
-        value = getattr(report, name)
-        if math.isnan(value) and name in MAY_BE_UNKNOWN:
-            continue
-        is_within = value <= limit if name in AT_MOST else value >= limit  # False for NaN
-        if not is_within:
-            worse.append(f"{name} {value:.4g} {'>' if name in AT_MOST else '<'} {limit:.4g}")
-    if worse:
-        raise ExportError(
-            f"{what}: differs too much from the original model ({', '.join(worse)}); calibrate on "
-            "more images like those that the robot sees, or keep the file anyway with --no-gate"
-        )

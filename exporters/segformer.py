@@ -15,20 +15,20 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from torch import Tensor, nn
 
-from edge.host.files import replace_atomically, write_atomically
+from edge.host.files import replace_atomically
 from edge.perception.masks.ground import pixels_of
 from edge.perception.runtime.card_types import GroundCard
 from edge.tasks.phrases import GROUNDS
 from exporters import hugging_face
-from exporters.clip import derive, image_preprocess
-from exporters.files import ExportError
+from exporters.clip import image_preprocess
+from exporters.files import ExportError, write_card
 from exporters.images import digest_of, read_rgb
 from exporters.onnx_format import cpu_session, export_module
-from exporters.quantize import pictures, precisions_to_make
-from exporters.reports import Report, check_limits
+from exporters.quantize import derive, pictures, precisions_to_make
+from exporters.recipes import TRANSFORMER
+from exporters.reports import Report
 from exporters.sidecar import write_sidecar
 
 LIMITS = {
@@ -87,16 +87,14 @@ def export(args: Any) -> dict[str, PixelReport | None]:
                 export_module(network, temporary, {"pixels": example}, ("scores",), {})
             else:
                 feeds = [{"pixels": pixels_of(read_rgb(path), card)} for path in calibration]
-                derive(args.cache / f"{card.derived_from}.onnx", temporary, feeds, precision)
+                fp32 = args.cache / f"{card.derived_from}.onnx"
+                derive(fp32, temporary, feeds, TRANSFORMER, precision)
             report = compare(network, temporary, validation, card) if validation else None
             if report is not None:
-                print(f"{card.name} against torch:\n{report.table()}", file=sys.stderr)
-                if not args.no_gate:
-                    check_limits(report, LIMITS[precision], card.name)
+                report.accept(card.name, "torch", None if args.no_gate else LIMITS[precision])
         digest = None if precision == "fp32" else digest_of(calibration)
         write_sidecar(out, card.name, None, hugging_face.weights_sha256(args.weights), digest)
-        text = yaml.safe_dump(card.model_dump(mode="json", exclude={"path"}), sort_keys=False)
-        write_atomically(args.cache / f"{card.name}.yaml", text.encode())
+        write_card(card.model_dump(mode="json", exclude={"path"}), args.cache)
         reports[card.name] = report
     return reports
 

@@ -27,7 +27,7 @@ from edge.host.files import read_regular, write_atomically
 from edge.perception.scoring.vlm.decoder import DEEPSTACK
 from edge.text import one_line
 from exporters import hugging_face
-from exporters.files import ExportError
+from exporters.files import ExportError, write_card
 from exporters.images import read_rgb
 from exporters.onnx_format import trace_module
 from exporters.quantize import pictures
@@ -40,7 +40,6 @@ from exporters.vlm_files import (
     compare_and_record,
     files_of_card,
     save_network,
-    write_card,
 )
 from exporters.vlm_networks import (
     Decoder,

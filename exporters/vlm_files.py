@@ -6,16 +6,13 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from pathlib import Path
 from typing import Any
 
 import onnx
-import yaml
 
-from edge.host.files import replace_atomically, write_atomically
+from edge.host.files import replace_atomically
 from exporters.onnx_format import check_format
-from exporters.reports import check_limits
 from exporters.sidecar import write_sidecar
 from exporters.vlm_parity import LetterComparison, LetterReport, OnnxPipeline
 
@@ -77,9 +74,7 @@ def compare_and_record(
         ExportError: the parity misses its limits, and `gate` is True.
     """
     report = comparison.compare(OnnxPipeline([network for network, *_ in files]))
-    print(f"{name} against {against}:\n{report.table()}", file=sys.stderr)
-    if gate:
-        check_limits(report, LIMITS[precision], name)
+    report.accept(name, against, LIMITS[precision] if gate else None)
     for path in itertools.chain(*files):
         write_sidecar(path, name, report.figures(), *digests)
     return report
@@ -92,9 +87,3 @@ def files_of_card(paths: list[list[Path]], folder: Path, others: list[str]) -> d
     parts = {key: {"file": files[0]} for key, files in zip(keys, relative, strict=True)}
     weight_files = [file for files in relative for file in files[1:]]
     return {**parts, "others": [{"file": file} for file in (*others, *weight_files)]}
-
-
-def write_card(card: dict[str, Any], folder: Path) -> None:
-    """Write a card as `NAME.yaml`."""
-    text = yaml.safe_dump(card, sort_keys=False, width=110)
-    write_atomically(folder / f"{card['name']}.yaml", text.encode())

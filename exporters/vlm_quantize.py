@@ -21,7 +21,7 @@ from edge.perception.runtime.cards import card_names, load_card, verify_parts
 from edge.perception.scoring.vlm.files import TOKENIZER, read_files
 from edge.perception.scoring.vlm.pictures import make_prepare
 from exporters import hugging_face
-from exporters.files import ExportError
+from exporters.files import ExportError, write_card
 from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import digest_of, read_rgb
 from exporters.onnx_format import check_format
@@ -38,7 +38,6 @@ from exporters.vlm_files import (
     compare_and_record,
     files_of_card,
     save_network,
-    write_card,
 )
 from exporters.vlm_parity import (
     EncodedImage,

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from exporters.files import ExportError
-from exporters.parity import INT8_LIMITS, ParityReport, check_parity, compare, select_boxes
+from exporters.parity import INT8_LIMITS, ParityReport, compare, select_boxes
 
 pytestmark = pytest.mark.export
 
@@ -106,8 +106,8 @@ def report(**changed: float) -> ParityReport:
 )
 def test_the_parity_error_names_the_violated_limit(changed, more, text):
     limits = {**INT8_LIMITS, **more}
-    check_parity(report(), limits, "card")
+    report().accept("card", "torch", limits)
     with pytest.raises(ExportError, match="card: ") as caught:
-        check_parity(report(**changed), limits, "card")
+        report(**changed).accept("card", "torch", limits)
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
