@@ -36,38 +36,6 @@ from edge.geometry import (
 )
 from edge.text import one_line
 
-__all__ = [
-    "BASE_FRAME",
-    "MAP_FRAME",
-    "CameraCalibration",
-    "DecodeError",
-    "ImageHeader",
-    "LaserScan",
-    "OdometryMessage",
-    "decode_camera_info",
-    "decode_image_header",
-    "decode_image_into",
-    "decode_laser_scan",
-    "decode_occupancy_grid",
-    "decode_odometry",
-    "decode_point_cloud_into",
-    "decode_pose_stamped",
-    "decode_scan_points_into",
-    "decode_twist_stamped",
-    "encode_camera_info",
-    "encode_image",
-    "encode_laser_scan",
-    "encode_occupancy_grid",
-    "encode_odometry",
-    "encode_point_cloud",
-    "encode_pose_stamped",
-    "encode_twist_stamped",
-    "peek_header",
-    "peek_stamp_ns",
-    "read_pose",
-    "write_pose",
-]
-
 MAP_FRAME = "map"
 BASE_FRAME = "base_link"
 
