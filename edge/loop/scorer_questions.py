@@ -1,19 +1,17 @@
-"""Questions to scorers: what they contain, and how a scorer is run that answers them."""
+"""Questions to scorers: their content, and the data that is collected for them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from edge import names
 from edge.geometry import SE2
 from edge.mapping.values import RangeProfile
-from edge.perception.scoring.choice.factory import ViewScorer
 from edge.perception.scoring.choice.question import (
     DetectedObject,
-    FrontierChoice,
     Mark,
     MarkCosts,
     MarkedView,
@@ -60,10 +58,7 @@ class ChoiceQuestion(NamedTuple):
 
 
 class SimilarityAnswers:
-    """A similarity scorer that returns the question with its answer; `ScorerWorker` runs it.
-
-    The worker calls `prepare`, releases the observation, and then calls `answer`.
-    """
+    """A similarity scorer as a `Scorer` of `edge.perception.worker`."""
 
     def __init__(self, scorer: SimilarityScorer) -> None:
         self.name = scorer.name
@@ -74,39 +69,10 @@ class SimilarityAnswers:
         assert question.observation.rgb is not None
         return question, question.observation.rgb.copy()
 
-    def answer(
-        self, prepared: tuple[SimilarityQuestion, np.ndarray]
-    ) -> tuple[SimilarityQuestion, ImageSimilarity]:
-        question, rgb = prepared
-        seen, targets = question.observation, question.targets
+    def answer(self, prepared: tuple[SimilarityQuestion, np.ndarray]) -> ImageSimilarity:
+        (seen, targets, _), rgb = prepared
         score = self._scorer.score(rgb, targets)
-        return question, ImageSimilarity(seen.stamp_ns, seen.pose, targets, score)
-
-    def close(self) -> None:
-        self._scorer.close()
-
-
-class ChoiceAnswers:
-    """A choice scorer that returns the question with its answer; see `SimilarityAnswers`."""
-
-    def __init__(self, scorer: ViewScorer) -> None:
-        self.name = scorer.name
-        self._scorer = scorer
-
-    @property
-    def detail(self) -> str:
-        """Reason why another model answers than `name`; "" if none does."""
-        return getattr(self._scorer, "detail", "")
-
-    def prepare(self, question: ChoiceQuestion) -> tuple[ChoiceQuestion, Any]:
-        return question, self._scorer.prepare(question.view)
-
-    def answer(
-        self, prepared: tuple[ChoiceQuestion, Any]
-    ) -> tuple[ChoiceQuestion, FrontierChoice] | None:
-        question, image = prepared
-        choice = self._scorer.answer(image)
-        return None if choice is None else (question, choice)
+        return ImageSimilarity(seen.stamp_ns, seen.pose, targets, score)
 
     def close(self) -> None:
         self._scorer.close()

@@ -19,7 +19,6 @@ from edge.config import ChoiceCooccurrence, ChoiceNone, ChoiceOnnx, Config
 from edge.config.root import ValueSource
 from edge.loop.cooccurrence import PriorChoice, RelatedScores
 from edge.loop.scorer_questions import (
-    ChoiceAnswers,
     ChoiceQuestion,
     SimilarityAnswers,
     SimilarityQuestion,
@@ -89,22 +88,22 @@ class Scorers:
         self.value_source = value_source
         self.shed: frozenset[str] = frozenset()
         self._n_questions = 0  # number of questions about directions so far
-        answers = None if similarity is None else SimilarityAnswers(similarity)
-        self._similarity = (
-            None if answers is None else ScorerWorker("similarity", answers, 0.0, inline)
-        )
+        self._similarity: ScorerWorker | None = None
+        self._choice: ScorerWorker | None = None
+        if similarity is not None:
+            answers = SimilarityAnswers(similarity)
+            self._similarity = ScorerWorker("similarity", answers, inline=inline)
         self._by_prior = isinstance(choice, PriorChoice)  # fast, so it needs no thread
-        chooser = None if choice is None else ChoiceAnswers(choice)
-        self._choice = (
-            None
-            if chooser is None
-            else ScorerWorker("choice", chooser, rest_s, inline or self._by_prior)
-        )
+        if choice is not None:
+            self._choice = ScorerWorker(
+                "choice", choice, rest_s, inline or self._by_prior,
+                view_of=lambda question: question.view,
+            )  # fmt: skip
         self.paused = False
         self.newest_swap = False
         self.swap: ChoiceSwap | None = None
         if make_other is not None and self._choice is not None:
-            self.swap = ChoiceSwap(self._choice, lambda card: ChoiceAnswers(make_other(card)))
+            self.swap = ChoiceSwap(self._choice, make_other)
 
     @property
     def _workers(self) -> list[ScorerWorker]:

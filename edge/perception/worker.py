@@ -237,20 +237,30 @@ class Scorer(Protocol[Q, A]):
         ...
 
 
-class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
-    """Runs a scorer on one question at a time.
+class ScorerWorker(ModelWorker[Q, tuple[Q, A], Scorer[Any, A]]):
+    """Runs a scorer on one question at a time; a result is a question with its answer.
 
     After a failure it pauses: a server that refuses at once must not be asked at the loop's rate.
+
+    Args:
+        kind: name of the work, for the log and the thread.
+        scorer: gets the next question.
+        rest_s: pause after an answer.
+        inline: answer inside `submit`.
+        pause_s: pause after the first failure.
+        view_of: returns the part of a question that the scorer gets; by default all of it.
     """
 
     def __init__(
         self,
         kind: str,
-        scorer: Scorer[Q, A],
+        scorer: Scorer[Any, A],
         rest_s: float = 0.0,
         inline: bool = False,
         pause_s: float = PAUSE_S,
+        view_of: Callable[[Q], Any] = lambda question: question,
     ) -> None:
+        self._view_of = view_of
         super().__init__(
             kind, self._ask, scorer, inline=inline, rest_s=rest_s, pause_s=pause_s,
             drop=lambda question: question.observation.release(),
@@ -282,13 +292,13 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
             "last_error": s.last_error, "detail": getattr(self.model, "detail", ""),
         }  # fmt: skip
 
-    def _ask(self, question: Q) -> A | None:
+    def _ask(self, question: Q) -> tuple[Q, A] | None:
         """Ask the scorer; release the observation as soon as the question is prepared."""
         scorer = self._use()
         outcome: A | Exception | None = None
         try:
             try:
-                prepared = scorer.prepare(question)
+                prepared = scorer.prepare(self._view_of(question))
             finally:
                 question.observation.release()
             outcome = scorer.answer(prepared)
@@ -297,7 +307,7 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
             raise
         finally:
             self._used(question, outcome)
-        return outcome
+        return None if outcome is None else (question, outcome)
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """See `Worker`; an answer that `close` aborted is no failure."""

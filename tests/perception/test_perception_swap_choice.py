@@ -82,7 +82,7 @@ def stepped(swap, state):
 
 def answer(worker):
     worker.submit(Question())
-    return eventually(worker.poll)
+    return eventually(worker.poll)[1]
 
 
 def fail(worker, **question):
@@ -153,7 +153,7 @@ def test_a_busy_model_is_closed_after_its_answer(swapping):
     swap.close()
     assert old.closed == 0
     old.go.set()
-    assert eventually(worker.poll) == "old"
+    assert eventually(worker.poll)[1] == "old"
     eventually(lambda: old.closed == 1)
     assert answer(worker) == "new"
 

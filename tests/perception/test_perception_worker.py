@@ -284,10 +284,10 @@ def test_the_worker_asks_one_question_at_a_time(frames):
     worker.submit(questions[3])
     fake.gate.release()
     eventually(lambda: worker.idle)
-    assert (worker.poll(), worker.poll()) == (1, None)
+    assert (worker.poll(), worker.poll()) == ((questions[1], 1), None)
     worker.submit(questions[4])
     fake.gate.release()
-    assert eventually(worker.poll) == 4
+    assert eventually(worker.poll) == (questions[4], 4)
     worker.close()
     assert fake.most == 1
     counts = worker.counts()

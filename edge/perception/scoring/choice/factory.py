@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
 from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, ModelProcessConfig, PerceptionConfig
 from edge.perception.runtime.card_types import MarksCard
 from edge.perception.runtime.cards import load_card
@@ -12,30 +10,10 @@ from edge.perception.scoring.choice.mark_scorer import MarkScorer, check_size, o
 from edge.perception.scoring.choice.process import ProcessMarks, ProcessModel
 from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
 from edge.perception.scoring.choice.server import make_server_scorer
+from edge.perception.worker import Scorer
 
-
-class ViewScorer(Protocol):
-    """Chooses among the frontiers of a view: a `Scorer` of `edge.perception.worker`.
-
-    The worker's thread calls `prepare`, releases the observation, and calls `answer`.
-
-    Attributes:
-        name: name of the model's card, or model and server.
-    """
-
-    name: str
-
-    def prepare(self, view: MarkedView) -> Any:
-        """Return the model's input, which needs nothing of the observation."""
-        ...
-
-    def answer(self, prepared: Any) -> FrontierChoice | None:
-        """Ask the model about a prepared view; None if there is no mark to choose from."""
-        ...
-
-    def close(self) -> None:
-        """Abort the current answer; may be called from another thread."""
-        ...
+ViewScorer = Scorer[MarkedView, FrontierChoice]
+"""A scorer that chooses among the frontiers of a view; None if there is no mark to choose from."""
 
 
 def make_view_scorer(
