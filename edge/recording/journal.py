@@ -13,7 +13,9 @@ import base64
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields, is_dataclass
-from typing import Any
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -21,7 +23,6 @@ from edge.config import Config
 from edge.config.root import parse
 from edge.geometry import SE2, CameraModel, Grid
 from edge.host.checkpoint import Checkpoint
-from edge.loop.behaviours.plan_worker import PlanResult
 from edge.loop.input_log import LoopInput
 from edge.loop.map_checkpoint import MAP
 from edge.loop.result import TickResult
@@ -32,11 +33,6 @@ from edge.mission.destinations import destinations_json, destinations_of_json
 from edge.mission.logic import ltl
 from edge.mission.repetition import Repetition
 from edge.mission.translate import Translation
-from edge.perception.scoring.choice.question import FrontierChoice
-from edge.policies.base import ImageSimilarity
-from edge.tasks.legs import Leg
-from edge.tasks.refine import RefinedTrajectory
-from edge.tasks.write import PlanAttempt
 from edge.text import bounded_repr, read_json, redact
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
@@ -51,7 +47,7 @@ class JournalPage:
 
     Attributes:
         entries: inputs in order. In an entry of kind `result`, the field `result` stays JSON: the
-            replay decodes it with the function for the worker, such as `rooms_of`.
+            replay decodes it as the worker's type.
         observation: the observation without its arrays, as JSON; None: there was none.
         decisions: decisions that a replay compares; None: there were none.
     """
@@ -204,7 +200,7 @@ def observation_of(
     )  # fmt: skip
 
 
-# -- entries: `_x` encodes to JSON, `_x_of` or `x_of` decodes the stored JSON --------------------
+# -- entries: `_x` encodes to JSON, `_x_of`, `x_of` or `decoded` decodes the stored JSON ----------
 
 
 def _array(array: np.ndarray) -> dict[str, Any]:
@@ -234,6 +230,36 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     return value
+
+
+def decoded(kind: Any, stored: Any) -> Any:
+    """Return the value of this type that `_plain` has encoded. Fields with a default may lack.
+
+    Raises:
+        Exception: any, if the value is damaged.
+    """
+    origin, inner = get_origin(kind), get_args(kind)
+    if stored is None:
+        return None
+    if kind is np.ndarray:
+        return _array_of(stored)
+    if kind is SE2:
+        return SE2(*stored)
+    if origin in (Union, UnionType):
+        (kind,) = (one for one in inner if one is not NoneType)
+        return decoded(kind, stored)
+    if origin is frozenset:
+        return frozenset(stored)
+    if origin is tuple:
+        kinds = [inner[0]] * len(stored) if inner[1:] == (...,) else inner
+        return tuple(decoded(one, item) for one, item in zip(kinds, stored, strict=True))
+    if is_dataclass(kind):
+        kinds = _types_of_fields(kind)
+        return kind(**{name: decoded(kinds[name], value) for name, value in stored.items()})
+    return stored
+
+
+_types_of_fields = cache(get_type_hints)
 
 
 def _pose(pose: SE2 | None) -> list[float] | None:
@@ -298,22 +324,14 @@ def _boxes(found: Detections) -> dict[str, Any]:
 
 def detections_of(stored: dict[str, Any], observation: Observation) -> Detections:
     """Decode detections of this observation."""
-    c, competing = stored["context"], stored["competing_score"]
+    bits = decoded(np.ndarray, stored["mask"])
     return Detections(
         observation, _array_of(stored["xyxy_px"]), _array_of(stored["score"]),
         _array_of(stored["class_id"]), tuple(stored["prompts"]),
-        None if competing is None else _array_of(competing),
-        None if c is None else ContextBoxes(
-            _array_of(c["xyxy_px"]), _array_of(c["score"]), _array_of(c["class_id"]),
-            tuple(c["words"]),
-        ),
-        stored["model"], stored["latency_ns"], _masks_of(stored["mask"]),
+        decoded(np.ndarray, stored["competing_score"]), decoded(ContextBoxes, stored["context"]),
+        stored["model"], stored["latency_ns"],
+        None if bits is None else np.unpackbits(bits, axis=-1).astype(np.bool_),
     )  # fmt: skip
-
-
-def _masks_of(stored: dict[str, Any] | None) -> np.ndarray | None:
-    """Decode masks; None if there are none."""
-    return None if stored is None else np.unpackbits(_array_of(stored), axis=-1).astype(np.bool_)
 
 
 def _rooms(found: RoomSurvey) -> dict[str, Any]:
@@ -336,53 +354,6 @@ def rooms_of(stored: dict[str, Any]) -> RoomSurvey:
     return outline_rooms(regions, _array_of(stored["ids"]), stored["next_id"], lost)
 
 
-def similarity_of(stored: dict[str, Any]) -> ImageSimilarity:
-    """Decode the answer of a similarity scorer."""
-    targets, score = tuple(stored["targets"]), _array_of(stored["score"])
-    return ImageSimilarity(stored["stamp_ns"], SE2(*stored["pose"]), targets, score)
-
-
-def choice_of(stored: dict[str, Any]) -> FrontierChoice:
-    """Decode the answer of a choice scorer."""
-    return FrontierChoice(
-        stored["stamp_ns"], stored["target"], tuple(stored["ids"]), _array_of(stored["p"]),
-        stored["elsewhere"], stored["scene"],
-    )  # fmt: skip
-
-
-def _refined_of(stored: dict[str, Any]) -> RefinedTrajectory:
-    arrays = {name: _array_of(stored[name]) for name in ("poses", "speeds_mps", "times_s", "leg")}
-    legs = tuple(Leg(_array_of(leg["points_m"]), leg["ends_segment"]) for leg in stored["legs"])
-    numbers = {
-        name: stored[name] for name in ("heading_rad", "cost_m", "control_m", "off_region_m")
-    }
-    drivable, notes = frozenset(stored["drivable"]), tuple(stored["notes"])
-    return RefinedTrajectory(**arrays, legs=legs, drivable=drivable, **numbers, notes=notes)
-
-
-def plan_result_of(stored: dict[str, Any]) -> PlanResult:
-    """Decode a `PlanResult`."""
-    refined, coarse_m, stops_at = stored["refined"], stored["coarse_m"], stored["stops_at"]
-    same = {name: stored[name] for name in ("error", "hopeless", "understood", "prompt")}
-    return PlanResult(
-        refined=None if refined is None else _refined_of(refined),
-        ambiguous=tuple(stored["ambiguous"]),
-        coarse_m=None if coarse_m is None else _array_of(coarse_m),
-        speed_mps=stored["speed_mps"],
-        stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
-        stops=tuple(tuple((number, label) for number, label in step) for step in stored["stops"]),
-        rounds=tuple(PlanAttempt(**r) for r in stored["rounds"]),
-        grounds=frozenset(stored.get("grounds", ())),
-        n_done=stored["n_done"],
-        **same,
-    )
-
-
-def travel_cost_of(stored: dict[str, Any]) -> np.ndarray:
-    """Decode the driving distances of a travel-cost estimate, in metres."""
-    return _array_of(stored["distance_m"])
-
-
 # Name of a worker → encoder of its result.
 _ENCODE_RESULT: dict[str, Callable[[Any], dict[str, Any]]] = {
     "detector": _boxes,
@@ -393,13 +364,6 @@ _ENCODE_RESULT: dict[str, Callable[[Any], dict[str, Any]]] = {
     "choice": lambda answer: _plain(answer[1]),
     "task": _plain,
 }
-
-
-def _goal_status_of(stored: dict[str, Any]) -> dict[str, Any]:
-    blocked = stored.pop("blocked")
-    return {
-        "goal_status": GoalStatus(**stored, blocked=None if blocked is None else tuple(blocked))
-    }
 
 
 def config_text(config: Config) -> dict[str, Any]:
@@ -441,11 +405,11 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
 _DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     **dict.fromkeys(_ENCODE, _UNCHANGED),
     "start": _start_of,
-    "goal_status": _goal_status_of,
+    "goal_status": lambda stored: {"goal_status": decoded(GoalStatus, stored)},
     "mission": lambda stored: {**stored, "translation": _translation_of(stored["translation"])},
     "config": lambda stored: {"config": config_of(stored["config"])},
     "site": lambda stored: {**stored, "site": site_of(stored["site"])},
     "idle": lambda stored: {
-        "now_ns": stored["now_ns"], "pose": None if stored["pose"] is None else SE2(*stored["pose"])
+        "now_ns": stored["now_ns"], "pose": decoded(SE2, stored["pose"])
     },
 }  # fmt: skip

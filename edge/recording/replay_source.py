@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from edge.loop.behaviours.plan_worker import PlanResult
 from edge.loop.input_log import InputLog, LoopInput
 from edge.perception.runtime.health import Health
+from edge.perception.scoring.choice.question import FrontierChoice
+from edge.policies.base import ImageSimilarity
 from edge.recording import journal
 from edge.recording.file import RecordingError
 from edge.types import Detections, Observation
@@ -153,11 +156,11 @@ class ReplaySource(InputLog):
         # Worker → function (answer as JSON, questions that wait) that returns its result.
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._decode_detections,
-            "travel_cost": lambda answer, questions: journal.travel_cost_of(answer),
-            "rooms": lambda answer, questions: journal.rooms_of(answer),
+            "travel_cost": lambda answer, _: journal.decoded(np.ndarray, answer["distance_m"]),
+            "rooms": lambda answer, _: journal.rooms_of(answer),
             "similarity": self._decode_similarity,
             "choice": self._decode_choice,
-            "task": lambda answer, questions: journal.plan_result_of(answer),
+            "task": lambda answer, _: journal.decoded(PlanResult, answer),
         }
 
     def record_decision(
@@ -188,13 +191,13 @@ class ReplaySource(InputLog):
         return self._detect(observation)
 
     def _decode_similarity(self, answer: dict[str, Any], questions: deque[Any]) -> Any:
-        similarity = journal.similarity_of(answer)
+        similarity = journal.decoded(ImageSimilarity, answer)
         question = _find_question(questions, similarity.stamp_ns)
         return None if question is None else (question, similarity)
 
     def _decode_choice(self, answer: dict[str, Any], questions: deque[Any]) -> Any:
         """Return the recorded choice; None if other settings led to another question."""
-        choice = journal.choice_of(answer)
+        choice = journal.decoded(FrontierChoice, answer)
         question = _find_question(questions, choice.stamp_ns)
         if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
             return None

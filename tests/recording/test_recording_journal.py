@@ -139,7 +139,9 @@ def test_background_results_survive_the_journal():
         )
     )
     back = {entry.fields["worker"]: entry.fields["result"] for entry in entries}
-    assert journal.travel_cost_of(back["travel_cost"]).tobytes() == values.tobytes()
+    assert (
+        journal.decoded(np.ndarray, back["travel_cost"]["distance_m"]).tobytes() == values.tobytes()
+    )
     again_rooms = journal.rooms_of(back["rooms"])
     assert again_rooms.regions.grid.origin_xy_m == (0.1, -0.2)
     for one, other in zip(regions[1:], again_rooms.regions[1:], strict=True):
@@ -147,16 +149,16 @@ def test_background_results_survive_the_journal():
     assert again_rooms[1:4] == (pytest.approx([0, 1, 2]), 3, ((7, 0.1, 0.2),))
     np.testing.assert_array_equal(again_rooms.depth_m, rooms.depth_m)
     assert [one.doors for one in again_rooms.shapes] == [one.doors for one in rooms.shapes]
-    similarity = journal.similarity_of(back["similarity"])
+    similarity = journal.decoded(ImageSimilarity, back["similarity"])
     assert (similarity.stamp_ns, similarity.pose, similarity.targets) == (stamp, pose, ("a", "b"))
-    choice = journal.choice_of(back["choice"])
+    choice = journal.decoded(FrontierChoice, back["choice"])
     assert (choice.ids, choice.elsewhere, choice.scene) == ((3, 1), 0.25, 0.5)
     assert choice.p.tobytes() == values[:2].tobytes()
 
 
 def planned(result: PlanResult) -> PlanResult:
     (entry,) = again(LoopInput(0, "result", {"worker": "task", "result": result}))
-    return journal.plan_result_of(entry.fields["result"])
+    return journal.decoded(PlanResult, entry.fields["result"])
 
 
 def test_all_fields_of_a_plan_survive_a_round_trip():
@@ -182,7 +184,7 @@ def test_a_plan_recorded_without_its_grounds_is_read():
     (entry,) = again(LoopInput(0, "result", {"worker": "task", "result": PlanResult(error="none")}))
     stored = entry.fields["result"]
     assert stored.pop("grounds") == []
-    assert journal.plan_result_of(stored).error == "none"
+    assert journal.decoded(PlanResult, stored).error == "none"
 
 
 @given(st.none() | st.floats(-math.pi, math.pi))
