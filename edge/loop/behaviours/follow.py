@@ -60,12 +60,19 @@ _MAX_TEXT_CHARS = 300
 
 @dataclass(slots=True)
 class PlanRetry:
-    """New tries to write a trajectory that was not possible with the objects seen so far."""
+    """New tries to write a trajectory that was not possible with the objects seen so far.
 
-    reason: str = ""  # Reason why no trajectory can be written; "" if one was written
-    ambiguous: tuple[int, ...] = ()  # Ids of the instances that an ambiguous name may mean
-    tried_ns: int = 0  # Loop time of the newest try
-    is_last: bool = False  # True if the newest try was made with an exhausted search
+    Attributes:
+        reason: Reason why no trajectory can be written; "" if one was written.
+        ambiguous: Ids of the instances that an ambiguous name may mean.
+        tried_ns: Loop time of the newest try.
+        is_last: True if the newest try was made with an exhausted search.
+    """
+
+    reason: str = ""
+    ambiguous: tuple[int, ...] = ()
+    tried_ns: int = 0
+    is_last: bool = False
 
 
 class FollowBehaviour:

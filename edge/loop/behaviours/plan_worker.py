@@ -51,64 +51,90 @@ replaces it, if that object is within this distance of the robot."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanResult:
-    """The result of writing or refining a trajectory."""
+    """The result of writing or refining a trajectory.
 
-    refined: RefinedTrajectory | None = None  # The trajectory; None if there is none
-    error: str = ""  # Reason why there is no trajectory, one line
-    hopeless: bool = False  # True if no later try can succeed, even with more objects seen
-    ambiguous: tuple[int, ...] = ()  # Ids of the objects that a name may mean, if it is ambiguous
-    # (n, 2) float64 in `map`, the trajectory as written; None if none was written
+    Attributes:
+        refined: The trajectory; None if there is none.
+        error: Reason why there is no trajectory, one line.
+        hopeless: True if no later try can succeed, even with more objects seen.
+        ambiguous: Ids of the objects that a name may mean, if it is ambiguous.
+        coarse_m: (n, 2) float64 in `map`, the trajectory as written; None if none was written.
+        speed_mps: Speed that the instruction asks for; None if it asks for none.
+        stops_at: Id and label of the object at which the trajectory ends; None if it ends at no
+            object; see `edge.tasks.write.WrittenTrajectory`.
+        stops: One item for each step of this trajectory: the (id, label) pairs of the objects at
+            which the step ends. The last item belongs to step `n_done`. Empty if a model wrote the
+            trajectory.
+        grounds: Labels of the regions that were chosen for the trajectory.
+        n_done: Number of steps of the task that are done at the end of the trajectory.
+        understood: See `edge.tasks.facts.TaskStatus`, like `prompt` and `rounds`.
+    """
+
+    refined: RefinedTrajectory | None = None
+    error: str = ""
+    hopeless: bool = False
+    ambiguous: tuple[int, ...] = ()
     coarse_m: np.ndarray | None = None
-    speed_mps: float | None = None  # Speed that the instruction asks for; None if it asks for none
-    # Id and label of the object at which the trajectory ends; None if it ends at no object; see
-    # `edge.tasks.write.WrittenTrajectory`
+    speed_mps: float | None = None
     stops_at: tuple[int, str] | None = None
-    # One item for each step of this trajectory: the (id, label) pairs of the objects at which the
-    # step ends. The last item belongs to step `n_done`. Empty if a model wrote the trajectory
     stops: tuple[tuple[tuple[int, str], ...], ...] = ()
-    # Labels of the regions that were chosen for the trajectory
     grounds: frozenset[str] = frozenset()
-    n_done: int = 0  # Number of steps of the task that are done at the end of the trajectory
-    understood: str = ""  # See `edge.tasks.facts.TaskStatus`
-    prompt: str = ""  # See `edge.tasks.facts.TaskStatus`
-    rounds: tuple[PlanAttempt, ...] = ()  # See `edge.tasks.facts.TaskStatus`
+    n_done: int = 0
+    understood: str = ""
+    prompt: str = ""
+    rounds: tuple[PlanAttempt, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageUpdate:
-    """A request to add an image to the surroundings of a task."""
+    """A request to add an image to the surroundings of a task.
 
-    observation: Observation  # Frame of the image. It is held until `release_frame`
-    add: Callable[[], object]  # Adds its objects or its kinds of ground
+    Attributes:
+        observation: Frame of the image. It is held until `release_frame`.
+        add: Adds its objects or its kinds of ground.
+    """
+
+    observation: Observation
+    add: Callable[[], object]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanRequest:
-    """A request to the worker to write or refine a trajectory, with all data that it needs."""
+    """A request to the worker to write or refine a trajectory, with all data that it needs.
+
+    Attributes:
+        n_driven: Number of steps already driven. The trajectory begins with the next step.
+        ends: Candidates for the step at which the trajectory ends, counted from the start of the
+            instruction. The worker tries them in this order, the largest first.
+        observation: Observation with the robot's pose.
+        instances: Objects of the targets.
+        objects: Object map of the task.
+        ground: Votes of the task for kinds of ground; None: the ground has no kinds.
+        found: Detections of the image for a model; None if it gets none.
+        before: Earlier result, whose trajectory is refined again from `index` on. None: write a new
+            trajectory.
+        index: Index of the pose to refine from.
+        reason: Reason for a new trajectory; "" for the first.
+        nearer_to: Id and label of the object at which the robot stopped. The new trajectory leads
+            nearer to this object on the current map. None for other requests.
+        attempts: Attempts of the model. The worker appends them while it runs.
+    """
 
     config: Config
     instruction: str
-    n_driven: int  # Number of steps already driven. The trajectory begins with the next step
-    # Candidates for the step at which the trajectory ends, counted from the start of the
-    # instruction. The worker tries them in this order, the largest first
+    n_driven: int
     ends: tuple[int, ...]
     n_steps: int
     view: MapView
-    observation: Observation  # Observation with the robot's pose
-    instances: Sequence[Instance]  # Objects of the targets
-    objects: ObjectMap  # Object map of the task
-    # Votes of the task for kinds of ground; None: the ground has no kinds
+    observation: Observation
+    instances: Sequence[Instance]
+    objects: ObjectMap
     ground: GroundVotes | None
-    found: Detections | None  # Detections of the image for a model; None if it gets none
-    # Earlier result, whose trajectory is refined again from `index` on. None: write a new
-    # trajectory
+    found: Detections | None
     before: PlanResult | None = None
-    index: int = 0  # Index of the pose to refine from
-    reason: str = ""  # Reason for a new trajectory; "" for the first
-    # Id and label of the object at which the robot stopped. The new trajectory leads nearer to this
-    # object on the current map. None for other requests
+    index: int = 0
+    reason: str = ""
     nearer_to: tuple[int, str] | None = None
-    # Attempts of the model. The worker appends them while it runs
     attempts: list[PlanAttempt] = field(default_factory=list)
 
 
