@@ -15,7 +15,7 @@ import onnxruntime as ort
 import pytest
 
 from edge.host import resources
-from edge.perception.scoring.choice.onnx_scorer import both_questions
+from edge.perception.scoring.choice.letter_scorer import both_questions
 from edge.perception.scoring.choice.question import (
     SYSTEM,
     DetectedObject,

@@ -44,7 +44,7 @@ from edge.perception.runtime.health import WHY_INVALID, log_progress
 from edge.perception.runtime.kserve import KServeSession
 from edge.perception.runtime.onnx_file import MASK_OUTPUTS
 from edge.perception.runtime.sessions import DTYPES, open_session
-from edge.perception.scoring.choice.onnx_scorer import both_questions
+from edge.perception.scoring.choice.letter_scorer import both_questions
 from edge.perception.scoring.choice.question import LETTERS, MAX_MARKS, SYSTEM
 from edge.perception.scoring.vlm.model import FIRST_RUN_S, LanguageModel
 from edge.text import one_line, redact

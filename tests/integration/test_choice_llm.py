@@ -15,6 +15,7 @@ from llm_process import serving_llm
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
+from edge.perception.scoring.choice.letter_scorer import LetterScorer
 from edge.perception.scoring.choice.question import (
     MAX_MARKS,
     DetectedObject,
@@ -22,7 +23,7 @@ from edge.perception.scoring.choice.question import (
     Mark,
     MarkedView,
 )
-from edge.perception.scoring.choice.server import ServerFrontierScorer, make_server_scorer
+from edge.perception.scoring.choice.server import make_server_scorer
 from edge.types import Observation
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
@@ -44,14 +45,14 @@ def view(
     return MarkedView(Observation(0, 0, np.eye(4), rgb=rgb), target, marks, seen)
 
 
-def put_to(scorer: ServerFrontierScorer, question: MarkedView) -> FrontierChoice:
+def put_to(scorer: LetterScorer, question: MarkedView) -> FrontierChoice:
     choice = scorer.answer(scorer.prepare(question))
     assert choice is not None
     return choice
 
 
 @pytest.fixture(scope="module")
-def scorer(url: str) -> ServerFrontierScorer:
+def scorer(url: str) -> LetterScorer:
     return make_server_scorer(ChoiceText(url=url, model="default", time_limit_s=PATIENCE_S))
 
 

@@ -18,6 +18,7 @@ from patience import PATIENCE_S
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.geometry import SE2, CameraModel, se3, to_optical
+from edge.perception.runtime.model_file import ModelError
 from edge.perception.scoring.choice import server as scorer
 from edge.perception.scoring.choice.picture import draw, place_discs, visible_marks
 from edge.perception.scoring.choice.question import (
@@ -259,7 +260,7 @@ def test_the_image_is_sent_with_its_letters(make_observation):
     with serving(model()) as server:
         asks = scorer_of(server, max_image_px=160)
         put_to(asks, view(make_observation, rgb=rgb))
-        with pytest.raises(ValueError, match="observation 3: it has no camera image"):
+        with pytest.raises(ModelError, match="observation 3 has no camera image"):
             asks.prepare(view(make_observation))
     image, text = server.requests[0][2]["messages"][1]["content"]
     assert image["type"] == "image_url"
@@ -309,7 +310,7 @@ def test_the_time_limit_is_for_both_questions(make_observation, monkeypatch):
         left.append(left_s)
         return [("A", -1.0), ("Yes", -1.0)]
 
-    monkeypatch.setattr(made._client, "next_tokens", next_tokens)
+    monkeypatch.setattr(made._model._client, "next_tokens", next_tokens)
     put_to(made, view(make_observation))
     assert left == [3.0, 1.0]
 

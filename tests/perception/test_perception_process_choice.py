@@ -14,8 +14,8 @@ from tiny_vlm import publish
 from edge.config import ChoiceOnnx, ModelProcessConfig, PerceptionConfig
 from edge.host import priority, resources
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.scoring.choice.factory import make_view_scorer
-from edge.perception.scoring.choice.onnx_scorer import both_questions, open_model
+from edge.perception.scoring.choice.factory import make_view_scorer, open_model
+from edge.perception.scoring.choice.letter_scorer import both_questions
 from edge.perception.scoring.choice.process import ProcessModel, _decode
 from edge.perception.scoring.choice.question import SYSTEM
 

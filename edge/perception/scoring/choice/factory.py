@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, ModelProcessConfig, PerceptionConfig
-from edge.perception.runtime.card_types import MarksCard
-from edge.perception.runtime.cards import load_card
+from edge.perception.runtime.card_types import MAX_MARKS, ChoiceCard, MarksCard
+from edge.perception.runtime.cards import load_card, load_card_of
 from edge.perception.runtime.model_file import ModelError
+from edge.perception.scoring.choice.letter_scorer import LetterScorer, both_questions
 from edge.perception.scoring.choice.mark_scorer import MarkScorer, check_size, open_network
 from edge.perception.scoring.choice.process import ProcessMarks, ProcessModel
 from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
 from edge.perception.scoring.choice.server import make_server_scorer
 from edge.perception.worker import Scorer
+
+if TYPE_CHECKING:
+    from edge.perception.scoring.vlm.model import LanguageModel
 
 ViewScorer = Scorer[MarkedView, FrontierChoice]
 """A scorer that chooses among the frontiers of a view; None if there is no mark to choose from."""
@@ -61,16 +67,32 @@ def open_view_scorer(choice: ChoiceOnnx, process: ModelProcessConfig | None = No
             open_network(card, choice) if process is None else ProcessMarks(card, choice, process)
         )
         return MarkScorer(card, network, choice.time_limit_s)
-    # Import late: it loads packages that only language models need.
-    from edge.perception.scoring.choice.onnx_scorer import (
-        OnnxFrontierScorer,
-        choice_card,
-        open_model,
-    )
-
     model = (
         open_model(choice)
         if process is None
-        else ProcessModel(choice_card(choice), choice, process)
+        else ProcessModel(_choice_card(choice), choice, process)
     )
-    return OnnxFrontierScorer(model, choice.max_image_px, choice.time_limit_s)
+    return LetterScorer(model, choice.max_image_px, choice.time_limit_s)
+
+
+def open_model(choice: ChoiceOnnx) -> LanguageModel:
+    """Open the language model of the configured card, ready to be asked.
+
+    Raises:
+        ModelError: there is no such card, it is of another task, or its model is unusable.
+    """
+    # Import late: it loads packages that only language models need.
+    from edge.perception.scoring.vlm.model import LanguageModel
+
+    questions = both_questions(MAX_MARKS, "chair")  # with every answer that will ever be offered
+    return LanguageModel(
+        _choice_card(choice), questions, choice.providers, choice.threads, choice.device_id
+    )
+
+
+def _choice_card(choice: ChoiceOnnx) -> ChoiceCard:
+    """Return the configured card; see `open_model`."""
+    try:
+        return load_card_of(ChoiceCard, choice.card)
+    except ModelError as error:
+        raise ModelError(f"perception.choice.card: {error}") from None

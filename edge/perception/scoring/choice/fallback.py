@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from edge.perception.runtime.fallback import FallbackModel
+from edge.perception.scoring.choice.letter_scorer import LetterScorer
 from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
-from edge.perception.scoring.choice.server import ServerFrontierScorer
 
 
 class FallbackScorer:
     """A scorer of views (`ViewScorer`) of two; see `FallbackModel`."""
 
-    def __init__(self, remote: ServerFrontierScorer, local: Any) -> None:
+    def __init__(self, remote: LetterScorer, local: Any) -> None:
         self.name = remote.name
         self._remote, self._local = remote, local
         self._models: FallbackModel[Any, FrontierChoice | None] = FallbackModel(

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from concurrent.futures import Future
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +16,8 @@ from edge.perception.process.supervised import RestartDelay, SupervisedProcess
 from edge.perception.process.wire import ModelProcessError
 from edge.perception.runtime.card_types import ChoiceCard, DirectionsCard
 from edge.perception.runtime.health import log_progress
-from edge.perception.scoring.vlm.answers import YES_NO
+from edge.perception.scoring.vlm.answers import YES_NO, MultipleChoice
 from edge.text import bounded_repr
-
-if TYPE_CHECKING:
-    from edge.perception.scoring.vlm.model import MultipleChoice
 
 log = logging.getLogger(__name__)
 

@@ -21,6 +21,7 @@ from edge.perception.process.child import as_memory_error, set_up_child
 from edge.perception.process.wire import FrameView
 from edge.perception.runtime.card_types import MarksCard
 from edge.perception.runtime.cards import load_card
+from edge.perception.scoring.vlm.answers import MultipleChoice
 from edge.text import read_json_object
 
 log = logging.getLogger(__name__)
@@ -58,8 +59,7 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
             image, np.array(request["marks"], np.float32), np.array(request["others"], np.float32),
             request["target"], request["limit_s"],
         )  # fmt: skip
-    from edge.perception.scoring.choice.onnx_scorer import open_model
-    from edge.perception.scoring.vlm.model import MultipleChoice
+    from edge.perception.scoring.choice.factory import open_model
 
     model = open_model(choice)
 

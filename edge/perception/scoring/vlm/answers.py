@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,13 @@ _LEAST_LEFT = 1e-9  # least remaining probability: keeps the logarithm finite if
 
 # Characters around an answer in a token: white space (also as tokenizers write it), punctuation.
 _WRAPPING = " \t\r\n▁ĠĊ\"'`*_([{<>}]).,:;"
+
+
+class MultipleChoice(NamedTuple):
+    """A question and its possible answers."""
+
+    question: str
+    answers: tuple[str, ...]
 
 
 class NoAnswerError(UserError):

@@ -8,7 +8,7 @@ once. The rules stay in the cache from one view to the next.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,11 @@ from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.runtime.sessions import DTYPES, TENSORRT_PROVIDERS, open_session
-from edge.perception.scoring.vlm.answers import answer_probabilities, answer_token_ids
+from edge.perception.scoring.vlm.answers import (
+    MultipleChoice,
+    answer_probabilities,
+    answer_token_ids,
+)
 from edge.perception.scoring.vlm.decoder import Decoder, KeyValueCache
 from edge.perception.scoring.vlm.files import common_prefix, read_files, vocabulary
 from edge.perception.scoring.vlm.pictures import make_prepare, positions
@@ -26,13 +30,6 @@ from edge.perception.scoring.vlm.prompt import Prompter
 
 PROVIDERS_KEY = "perception.choice.providers"
 _BLANK_PX = 64  # side of the image for the first run
-
-
-class MultipleChoice(NamedTuple):
-    """A question and its possible answers."""
-
-    question: str
-    answers: tuple[str, ...]
 
 
 class LanguageModel:

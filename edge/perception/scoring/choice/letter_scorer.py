@@ -1,4 +1,4 @@
-"""Frontier selection by a language model that runs here (ViTL eq. 4 and 5).
+"""Frontier selection by a language model (ViTL eq. 4 and 5).
 
 Each mark (a frontier in view) has a letter in the image or the text, and the model names a letter.
 """
@@ -10,14 +10,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from edge.config import ChoiceOnnx
-from edge.perception.runtime.card_types import ChoiceCard
-from edge.perception.runtime.cards import load_card_of
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.scoring.choice.picture import draw
 from edge.perception.scoring.choice.question import (
     LETTERS,
-    MAX_MARKS,
     SYSTEM,
     FrontierChoice,
     Mark,
@@ -27,12 +23,11 @@ from edge.perception.scoring.choice.question import (
     direction_question,
     scene_question,
 )
-from edge.perception.scoring.vlm.answers import YES_NO
-from edge.perception.scoring.vlm.model import LanguageModel, MultipleChoice
+from edge.perception.scoring.vlm.answers import YES_NO, MultipleChoice
 
 
 class ChoiceModel(Protocol):
-    """A language model in this process (`LanguageModel`) or in its own (`ProcessModel`)."""
+    """A language model: `LanguageModel`, in its own process `ProcessModel`, or a `ChatModel`."""
 
     name: str
     takes_images: bool
@@ -61,11 +56,11 @@ class ModelPrompt(NamedTuple):
     marks: tuple[Mark, ...]
 
 
-class OnnxFrontierScorer:
-    """A scorer (`edge.perception.worker`) of views, by a local language model.
+class LetterScorer:
+    """A scorer (`edge.perception.worker`) of views, by a language model.
 
     Attributes:
-        name: name of the model's card.
+        name: name of the model, for people.
     """
 
     def __init__(self, model: ChoiceModel, max_image_px: int, time_limit_s: float) -> None:
@@ -95,7 +90,7 @@ class OnnxFrontierScorer:
             None if no mark could be drawn: there is nothing to choose from.
 
         Raises:
-            ModelError: the model gave no usable answer within the time limit; one line.
+            ModelError, ChatError: the model gave no usable answer within the time limit; one line.
         """
         view, n = prompt.view, len(prompt.marks)
         if n == 0:
@@ -106,7 +101,7 @@ class OnnxFrontierScorer:
         return choice_of(view, prompt.marks, p, float(scene[0]))
 
     def close(self) -> None:
-        """Abort the current run; may be called from another thread."""
+        """Abort the current question; may be called from another thread."""
         self._model.close()
 
 
@@ -116,23 +111,3 @@ def both_questions(n_marks: int, target: str) -> tuple[MultipleChoice, MultipleC
         MultipleChoice(direction_question(n_marks, target), tuple(LETTERS[: n_marks + 1])),
         MultipleChoice(scene_question(target), YES_NO),
     )
-
-
-def open_model(config: ChoiceOnnx) -> LanguageModel:
-    """Open the model of the configured card, ready to be asked.
-
-    Raises:
-        ModelError: there is no such card, it is of another task, or its model is unusable.
-    """
-    questions = both_questions(MAX_MARKS, "chair")  # with every answer that will ever be offered
-    return LanguageModel(
-        choice_card(config), questions, config.providers, config.threads, config.device_id
-    )
-
-
-def choice_card(config: ChoiceOnnx) -> ChoiceCard:
-    """Return the configured card; see `open_model`."""
-    try:
-        return load_card_of(ChoiceCard, config.card)
-    except ModelError as error:
-        raise ModelError(f"perception.choice.card: {error}") from None
