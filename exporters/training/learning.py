@@ -11,8 +11,8 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -22,19 +22,25 @@ from exporters.training import checkpoint as checkpoints
 log = logging.getLogger(__name__)
 
 
-class LearningRates(Protocol):
-    """Learning rates of a run's plan.
+@dataclass(frozen=True)
+class LearningPlan:
+    """Learning rates of a run, and its checkpoints.
 
     Attributes:
+        rate: peak of the learning rate; then the rate falls as half a cosine.
         decay: weight decay; not for biases, norms and tables of embeddings.
         warm_up: steps until the peak.
         average: share of the averaged weights that stays in each step.
+        keep_every: steps between two checkpoints.
+        seed: seed of weights and data.
     """
 
     rate: float
     decay: float
     warm_up: int
     average: float
+    keep_every: int
+    seed: int = 0
 
 
 class Learner:
@@ -48,7 +54,7 @@ class Learner:
     def __init__(
         self,
         model: nn.Module,
-        pace: LearningRates,
+        pace: LearningPlan,
         steps: int,
         checkpoint: Path,
         run: checkpoints.Run,
@@ -131,7 +137,7 @@ def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> No
 
 
 def _adamw(
-    model: nn.Module, tables: nn.Module | None, pace: LearningRates, betas: tuple[float, float]
+    model: nn.Module, tables: nn.Module | None, pace: LearningPlan, betas: tuple[float, float]
 ) -> torch.optim.Optimizer:
     """Return the optimizer, without weight decay for vectors and `tables`."""
     without_decay = set() if tables is None else set(tables.parameters())

@@ -21,7 +21,7 @@ from exporters.training.choice import labels
 from exporters.training.choice.collect import Views
 from exporters.training.choice.features import Features
 from exporters.training.choice.net import ChoiceNet
-from exporters.training.learning import Learner
+from exporters.training.learning import Learner, LearningPlan
 
 log = logging.getLogger(__name__)
 
@@ -32,18 +32,9 @@ MAX_GRADIENT_NORM = 5.0
 """Longer gradients are shortened to it."""
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingPlan:
-    """Length and learning rates of a run.
-
-    Attributes:
-        rate: see `learning.LearningRates`.
-        decay: see `learning.LearningRates`.
-        warm_up: see `learning.LearningRates`.
-        average: see `learning.LearningRates`.
-        keep_every: steps between two checkpoints.
-        seed: seed of weights and batches.
-    """
+@dataclass(frozen=True)
+class TrainingPlan(LearningPlan):
+    """Length and learning rates of a run."""
 
     steps: int = 1800
     views: int = 24
@@ -53,7 +44,6 @@ class TrainingPlan:
     warm_up: int = 100
     average: float = 0.998
     keep_every: int = 100
-    seed: int = 0
 
 
 class Batch(NamedTuple):

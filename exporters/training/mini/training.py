@@ -17,7 +17,7 @@ from torch import Tensor, distributed, nn
 
 from exporters.files import ExportError
 from exporters.training import checkpoint as checkpoints
-from exporters.training.learning import Learner
+from exporters.training.learning import Learner, LearningPlan
 from exporters.training.mini import looks
 from exporters.training.mini.batches import Batch, batches, disturb
 from exporters.training.mini.loss import Labels, detection_loss
@@ -31,20 +31,14 @@ MAX_GRADIENT_NORM = 10.0  # longer gradients are shortened to it
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingPlan:
+@dataclass(frozen=True)
+class TrainingPlan(LearningPlan):
     """Length and learning rates of a run.
 
     Attributes:
         stages: (steps, (height, width) of the images, number of plain phrases), one after another.
             A plain phrase has no colour or size; see `batches.sample_phrases`.
         batch: images in a step.
-        seed: seed of weights and batches.
-        rate: peak of the learning rate after `warm_up` steps; then the rate falls as half a cosine.
-        decay: see `learning.LearningRates`.
-        warm_up: see `learning.LearningRates`.
-        average: see `learning.LearningRates`.
-        keep_every: steps between two checkpoints.
     """
 
     stages: tuple[tuple[int, tuple[int, int], int], ...] = (
@@ -53,7 +47,6 @@ class TrainingPlan:
         (8000, FULL_HW, 12),
     )
     batch: int = 32
-    seed: int = 0
     rate: float = 2e-3
     decay: float = 0.03
     warm_up: int = 200

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from exporters.training import checkpoint as checkpoints
-from exporters.training.learning import Learner
+from exporters.training.learning import Learner, LearningPlan
 from exporters.training.translator.compose import Composer, Pair, Phrases
 from exporters.training.translator.data import PAD, Batcher, Source, Vocabulary
 from exporters.training.translator.net import Size, Translator
@@ -25,30 +25,22 @@ SMOOTHING = 0.05
 """Label smoothing, so that ambiguous sentences keep a low confidence."""
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingPlan:
+@dataclass(frozen=True, kw_only=True)
+class TrainingPlan(LearningPlan):
     """Length and learning rates of a run.
 
     Attributes:
-        rate: see `learning.LearningRates`.
         human: share of human sentences.
         pairs: sentences in a step, each in both directions.
-        decay: see `learning.LearningRates`.
-        warm_up: see `learning.LearningRates`.
-        average: see `learning.LearningRates`.
-        keep_every: steps between two checkpoints.
-        seed: seed of weights and sentences.
     """
 
     steps: int
-    rate: float
     human: float
     pairs: int = 64
     decay: float = 0.02
     warm_up: int = 200
     average: float = 0.998
     keep_every: int = 200
-    seed: int = 0
 
 
 # Plans of the two parts of a training: composed sentences first, then also human ones.
