@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import socket
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -18,43 +18,34 @@ from edge import config
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.process import wire
-from edge.perception.process.child import as_memory_error, set_up_child
+from edge.perception.process.child import Answer, run_child
 from edge.perception.process.wire import FrameView
 from edge.perception.runtime.health import Health, ProgressCallback
 from edge.text import read_json_object
 from edge.types import Observation
-
-log = logging.getLogger(__name__)
 
 Make = Callable[[config.PerceptionConfig, Sequence[str], ProgressCallback], Detector]
 
 
 def main(make: Make = make_detector) -> int:
     """Load the model that stdin names, and answer until the service ends this process."""
-    request, images, control, frames = set_up_child()
-    sending = threading.Lock()
 
-    def progress(health: Health) -> None:  # on any thread, but only until `make` returns
-        with sending:
-            control.send(wire.encode(health=health))
+    def load(request: dict[str, Any], control: socket.socket) -> Answer:
+        sending = threading.Lock()
 
-    try:
+        def progress(health: Health) -> None:  # on any thread, but only until `make` returns
+            with sending:
+                control.send(wire.encode(health=health))
+
         perception = config.PerceptionConfig.model_validate(request["perception"])
         detector = make(perception, request["prompts"], progress)
         # Compile all kernels. Else the first real image would wait, which looks like a hang.
         detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
         detector.invalid_boxes = 0  # that image was not from a camera
-    except Exception as error:
-        control.send(wire.encode_error(error))
-        return 1
-    control.send(wire.encode())
-    threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
-    try:
-        answer_images(images, detector, frames)
-    except BaseException:
-        log.exception("model %s: its process ends after an error", detector.name)
-        os._exit(1)  # `check_prompts` blocks in recv for ever
-    return 0
+        threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
+        return partial(answer_image, detector)
+
+    return run_child(load)
 
 
 def check_prompts(control: socket.socket, detector: Detector) -> None:
@@ -68,23 +59,16 @@ def check_prompts(control: socket.socket, detector: Detector) -> None:
             control.send(wire.encode_error(error, id=request["id"]))
 
 
-def answer_images(images: socket.socket, detector: Detector, frames: FrameView) -> None:
-    """Answer every image with its detections, or with the error that was raised."""
-    while message := images.recv(wire.MAX_BYTES):
-        request = read_json_object(message)
-        seq, prompts = request["seq"], tuple(request["prompts"])
-        try:
-            if prompts != detector.prompts:
-                detector.set_prompts(prompts)
-            rgb = frames.read(seq, request["hw"])
-            found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
-            if not frames.is_intact(seq):
-                raise ValueError(f"frame {seq}: overwritten by a newer frame")
-        except Exception as error:
-            images.send(wire.encode_error(as_memory_error(error), seq=seq))
-        else:
-            health, invalid = detector.health(), detector.invalid_boxes
-            images.send(wire.encode_answer(seq, found, health, invalid))
+def answer_image(detector: Detector, request: dict[str, Any], frames: FrameView) -> bytes:
+    """Return the detections of an image, encoded."""
+    seq, prompts = request["seq"], tuple(request["prompts"])
+    if prompts != detector.prompts:
+        detector.set_prompts(prompts)
+    rgb = frames.read(seq, request["hw"])
+    found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
+    if not frames.is_intact(seq):
+        raise ValueError(f"frame {seq}: overwritten by a newer frame")
+    return wire.encode_answer(seq, found, detector.health(), detector.invalid_boxes)
 
 
 if __name__ == "__main__":

@@ -120,7 +120,7 @@ class ProcessDetector(SupervisedProcess):
         """See `SupervisedProcess`; the state is `degraded` if the model can no longer be loaded."""
         is_process_fault = failed is None or isinstance(failed, ModelProcessError)
         state = "restarting" if is_process_fault and not pause.limit else "degraded"
-        self._set_state(Health(state, f"{why}; {self._describe_restart(pause)}"))
+        self._set_state(Health(state, f"{why}; {pause}"))
 
     def _is_cancelled(self, first: Future[None]) -> bool:
         """See `SupervisedProcess`; `cancelled` counts for the first start only."""
@@ -130,12 +130,6 @@ class ProcessDetector(SupervisedProcess):
         """Report that the model is still loading."""
         self._process_health = health
         self._progress(health)
-
-    def _describe_restart(self, pause: RestartDelay) -> str:
-        """Return when the process is restarted, for the end of a message."""
-        if not pause.limit:
-            return f"restarts in {pause.seconds:.1f} s"
-        return f"ended too often, restarts in {pause.seconds:.0f} s"
 
     def _set_state(self, health: Health) -> None:
         """Set the state, and log it if it changed."""

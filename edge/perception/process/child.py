@@ -6,22 +6,60 @@ import contextlib
 import ctypes
 import faulthandler
 import json
+import logging
 import os
 import signal
 import socket
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from edge import logs
 from edge.host.signals import show_stacks_on_signals
+from edge.perception.process import wire
 from edge.perception.process.wire import FrameView
+from edge.text import read_json_object
+
+log = logging.getLogger(__name__)
+
+Answer = Callable[[dict[str, Any], FrameView], bytes]
+"""(request, shared images) → the answer to send."""
+Load = Callable[[dict[str, Any], socket.socket], Answer]
+"""(request on stdin, the socket `control`) → the function that answers each later request."""
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 # If memory runs out, the kernel kills this process first, because the robot can go on without it.
 _OOM_SCORE_ADJ = "1000"
 # Parts of messages by which onnxruntime and CUDA report a lack of memory.
 _NO_MEMORY = ("failed to allocate memory", "bad_alloc", "bad allocation", "out of memory")
+
+
+def run_child(load: Load) -> int:
+    """Load a model, and answer each request with the result or the error, until the service ends.
+
+    Returns:
+        The exit status, once the service has ended this process or the model cannot be loaded.
+    """
+    request, images, control, frames = set_up_child()
+    try:
+        answer = load(request, control)
+    except Exception as error:
+        control.send(wire.encode_error(error))
+        return 1
+    control.send(wire.encode())
+    try:
+        while message := images.recv(wire.MAX_BYTES):
+            request = read_json_object(message)
+            try:
+                reply = answer(request, frames)
+            except Exception as error:
+                reply = wire.encode_error(as_memory_error(error), seq=request["seq"])
+            images.send(reply)
+    except BaseException:
+        log.exception("the model's process ends after an error")
+        os._exit(1)  # other threads may block in recv for ever
+    return 0
 
 
 def set_up_child() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameView]:

@@ -27,7 +27,7 @@ _CLOSE_S = 10.0  # wait for the thread to end after its process was killed
 
 
 class RestartDelay(NamedTuple):
-    """The pause before a restart.
+    """The pause before a restart; as text: when the process is restarted, for a message's end.
 
     Attributes:
         seconds: length of the pause.
@@ -36,6 +36,11 @@ class RestartDelay(NamedTuple):
 
     seconds: float
     limit: bool
+
+    def __str__(self) -> str:
+        if not self.limit:
+            return f"restarts in {self.seconds:.1f} s"
+        return f"ended too often, restarts in {self.seconds:.0f} s"
 
 
 class RestartBackoff:

@@ -75,8 +75,7 @@ class _Process(SupervisedProcess):
             log.info("model %s: its process runs again", self.name)
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
-        often = "ended too often, " if pause.limit else ""
-        self._not_ready = f"{why}; {often}restarts in {pause.seconds:.1f} s"
+        self._not_ready = f"{why}; {pause}"
         self._link = None
         log.warning("%s", self._not_ready)
 

@@ -5,8 +5,6 @@ It loads the model and answers its requests; `edge.perception.process` describes
 
 from __future__ import annotations
 
-import logging
-import os
 import socket
 import sys
 from collections.abc import Callable
@@ -17,38 +15,30 @@ import numpy as np
 from edge.config import ChoiceOnnx
 from edge.host.priority import lower_priority
 from edge.perception.process import wire
-from edge.perception.process.child import as_memory_error, set_up_child
+from edge.perception.process.child import Answer, run_child
 from edge.perception.process.wire import FrameView
 from edge.perception.runtime.card_types import MarksCard
 from edge.perception.runtime.cards import load_card
 from edge.perception.scoring.vlm.answers import MultipleChoice
-from edge.text import read_json_object
 
-log = logging.getLogger(__name__)
-
-Answer = Callable[[dict[str, Any], Any], list[np.ndarray]]
+Ask = Callable[[dict[str, Any], Any], list[np.ndarray]]
 """(request, image or None) → the probabilities of the answers of each question."""
 
 
-def main() -> int:
-    """Load the model that stdin names, and answer requests until the service ends this process."""
-    request, requests, control, frames = set_up_child()
+def load(request: dict[str, Any], control: socket.socket) -> Answer:
+    """Load the model; return the function that answers a request with probabilities."""
     lower_priority()  # before the model starts threads, which inherit the priority
-    try:
-        answer = open_answer(ChoiceOnnx.model_validate(request["choice"]))
-    except Exception as error:
-        control.send(wire.encode_error(error))
-        return 1
-    control.send(wire.encode())
-    try:
-        answer_questions(requests, answer, frames)
-    except BaseException:
-        log.exception("model %s: its process ends after an error", request["choice"]["card"])
-        os._exit(1)
-    return 0
+    ask = open_ask(ChoiceOnnx.model_validate(request["choice"]))
+
+    def answer(request: dict[str, Any], frames: FrameView) -> bytes:
+        seq = request["seq"]
+        image = None if request["hw"] is None else frames.read(seq, request["hw"])
+        return wire.encode(seq=seq, p=[p.tolist() for p in ask(request, image)])
+
+    return answer
 
 
-def open_answer(choice: ChoiceOnnx) -> Answer:
+def open_ask(choice: ChoiceOnnx) -> Ask:
     """Open the model of a card; return the function that answers the requests of `process.py`."""
     card = load_card(choice.card)
     if isinstance(card, MarksCard):
@@ -63,27 +53,13 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
 
     model = open_model(choice)
 
-    def answer(request: dict[str, Any], image: np.ndarray | None) -> list[np.ndarray]:
+    def ask(request: dict[str, Any], image: np.ndarray | None) -> list[np.ndarray]:
         questions = [MultipleChoice(text, tuple(answers)) for text, answers in request["asked"]]
         view = request["view"] if image is None else image
         return model.ask(request["rules"], view, questions, request["limit_s"])
 
-    return answer
-
-
-def answer_questions(requests: socket.socket, answer: Answer, frames: FrameView) -> None:
-    """Answer every request with the probabilities of the possible answers, or with the error."""
-    while message := requests.recv(wire.MAX_BYTES):
-        request = read_json_object(message)
-        seq = request["seq"]
-        try:
-            image = None if request["hw"] is None else frames.read(seq, request["hw"])
-            found = answer(request, image)
-        except Exception as error:
-            requests.send(wire.encode_error(as_memory_error(error), seq=seq))
-        else:
-            requests.send(wire.encode(seq=seq, p=[p.tolist() for p in found]))
+    return ask
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_child(load))
