@@ -82,10 +82,8 @@ class PolicySearch(_Selection):
     spin: bool = True
 
 
-class PolicyVlfm(_Selection):
-    """The frontier with the best image-text score nearby (VLFM).
-
-    It needs `perception.similarity`.
+class _ScoreNearby(_Selection):
+    """The frontier with the best score nearby.
 
     Attributes:
         radius_m: scores within this distance of a frontier count for it.
@@ -93,27 +91,21 @@ class PolicyVlfm(_Selection):
             only decides between equal scores.
     """
 
-    kind: Literal["vlfm"] = "vlfm"
     switch_margin: NonNegative = 0.05
     radius_m: Positive = 0.5
     nearness: Positive = 1e-3
 
 
-class PolicyDirectional(_Selection):
-    """The frontier with the best directional score nearby (ViTL eq. 9).
+class PolicyVlfm(_ScoreNearby):
+    """The best image-text score nearby (VLFM). It needs `perception.similarity`."""
 
-    It needs `perception.choice`.
+    kind: Literal["vlfm"] = "vlfm"
 
-    Attributes:
-        radius_m: scores within this distance of a frontier count for it.
-        nearness: weight of 1 / (1 m + path length), which is added to the score. The small default
-            only decides between equal scores, as in the paper.
-    """
+
+class PolicyDirectional(_ScoreNearby):
+    """The best directional score nearby (ViTL eq. 9). It needs `perception.choice`."""
 
     kind: Literal["directional"] = "directional"
-    switch_margin: NonNegative = 0.05
-    radius_m: Positive = 0.5
-    nearness: Positive = 1e-3
 
 
 class PolicyAdaptive(_Selection):
