@@ -44,7 +44,7 @@ from edge.loop.stages import (
     SELECT,
     STAGES,
 )
-from edge.loop.status import HealthWatch
+from edge.loop.status import HealthWatch, Part
 from edge.loop.zone_exit import ZoneExit
 from edge.memory import START, Place, Site, SiteFile
 from edge.mission.run import MissionRun
@@ -150,11 +150,8 @@ class Service:
             )
         self.plausibility = Plausibility(config, self.event)
         self.health = HealthWatch(
-            worker, self.detector_swap, scorers, checkpoint, self.error_boundary, overruns,
-            lambda: None if self.load_shedder is None else self.load_shedder.status(),
-            self.event, sinks, inputs, self.plausibility.status,
-            lambda: None if self.ground is None else self.ground.status(),
-        )  # fmt: skip
+            worker, self._parts, scorers, self.error_boundary, self.event, overruns, sinks, inputs
+        )
         self.publisher = ResultPublisher(
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
             self.health.status,
@@ -462,6 +459,17 @@ class Service:
         self.map.close()
 
     # -- state for other modules --------------------------------------------------------------
+
+    def _parts(self) -> dict[str, Part | None]:
+        """Return the parts with a status of their own, by their names in the status message."""
+        return {
+            "checkpoint": self.checkpoint,
+            "segmenter": self.perception.worker.masker,
+            "ground": self.ground,
+            "swap": self.detector_swap,
+            "load_shedding": self.load_shedder,
+            "plausibility": self.plausibility,
+        }
 
     @property
     def mission(self) -> MissionRun:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.error_boundary import DEGRADED_AFTER, ErrorBoundary
 from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.source import InputStatus, inputs_status
 from edge.perception.runtime.health import Health
-from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.tasks.facts import TaskStatus, lengths_m, thinned
 from edge.text import bounded_lines, one_line
@@ -74,20 +72,25 @@ def status_message(result: TickResult) -> dict[str, object]:
     }
 
 
+class Part(Protocol):
+    """A part of the loop that reports its own status."""
+
+    def status(self) -> dict[str, object]:
+        """Return the status, JSON-ready; any thread may call this."""
+
+
 class HealthWatch:
     """Collects the health of all parts of the loop, and reports when the detector fails.
 
     Args:
-        detector_swap: Swaps the detector's model.
+        worker: Runs the detector.
+        parts: Returns the parts that report their own status, by name; None: there is no such part.
         scorers: The scorers, if any.
-        checkpoint: The checkpoint, if any.
         error_boundary: Counts the exceptions of the loop.
-        overruns: Returns the number of reads that found a message ring full, by ring.
-        load_shedding: Returns the state of the load shedder; None if there is none.
         event: Called with a text for people and the loop time in ns.
+        overruns: Returns the number of reads that found a message ring full, by ring.
         sinks: See `edge.loop.publish.statuses`.
         inputs: Returns the source's table of inputs; empty if it has none.
-        plausibility: See `edge.loop.plausibility.Plausibility.status`.
 
     Attributes:
         overruns: As in `Args`.
@@ -97,23 +100,17 @@ class HealthWatch:
     def __init__(
         self,
         worker: DetectorWorker,
-        detector_swap: DetectorSwap,
+        parts: Callable[[], Mapping[str, Part | None]],
         scorers: Scorers | None,
-        checkpoint: ServiceCheckpoint | None,
         error_boundary: ErrorBoundary,
-        overruns: Callable[[], dict[str, int]],
-        load_shedding: Callable[[], dict[str, object] | None],
         event: Callable[[str, int], None],
+        overruns: Callable[[], dict[str, int]] = dict,
         sinks: Sequence[Sink] = (),
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
-        plausibility: Callable[[], dict[str, object]] = dict,
-        ground: Callable[[], dict[str, object] | None] = lambda: None,
     ) -> None:
-        self._worker, self._detector_swap, self._scorers = worker, detector_swap, scorers
-        self._checkpoint, self._error_boundary = checkpoint, error_boundary
-        self.overruns, self.inputs = overruns, inputs
-        self._load_shedding, self._event = load_shedding, event
-        self._sinks, self._plausibility, self._ground = sinks, plausibility, ground
+        self._worker, self._parts, self._scorers = worker, parts, scorers
+        self._error_boundary, self._event = error_boundary, event
+        self.overruns, self._sinks, self.inputs = overruns, sinks, inputs
         self._reported = Health()  # state and detail of the detector that were reported
 
     def check(self, now_ns: int) -> None:
@@ -136,21 +133,19 @@ class HealthWatch:
         worker = self._worker
         return {
             "loop": {**self._error_boundary.status(), "overruns": self.overruns()},
-            "checkpoint": None if self._checkpoint is None else self._checkpoint.status(),
             "detector": {
                 "model": worker.detector.name,
                 **detector_health(worker)._asdict(),
                 "invalid_boxes": worker.detector.invalid_boxes,
                 **asdict(worker.stats),
             },
-            "segmenter": None if worker.masker is None else worker.masker.status(),
-            "ground": self._ground(),
-            "swap": self._detector_swap.status(),
-            "load_shedding": self._load_shedding(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
             "inputs": inputs_status(self.inputs()),
-            "plausibility": self._plausibility(),
+            **{
+                name: None if part is None else part.status()
+                for name, part in self._parts().items()
+            },
         }
 
 
