@@ -5,6 +5,7 @@ All are frozen except `Instance`, which its tracker updates at each frame.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
@@ -229,10 +230,7 @@ class Instance:
 
     def copied(self) -> Instance:
         """Return a copy that shares the arrays, which are replaced but never written to."""
-        return Instance(
-            self.id, self.label, self.center_m, self.points_m, self.score, self.hits,
-            self.first_seen_ns, self.last_seen_ns, self.state,
-        )  # fmt: skip
+        return copy(self)
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         """Return the planar distance from a point to the nearest known surface point."""

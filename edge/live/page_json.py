@@ -15,7 +15,7 @@ from edge.live.automaton_graph import make_automaton_graph
 from edge.live.sink import LiveSnapshot
 from edge.loop.latency import LatencyReport
 from edge.loop.result import MissionFacts
-from edge.loop.status import mission_json
+from edge.loop.status import instance_json, mission_json
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.tasks.facts import TaskStatus, lengths_m, thinned
 from edge.text import bounded_lines, one_line
@@ -55,17 +55,7 @@ def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
         "goal": None if result.goal is None else _goal(result.goal, result.goal_status),
         "way": points(snapshot.path),
         "candidates": _candidates(snapshot),
-        "instances": [
-            {
-                "id": i.id,
-                "label": i.label,
-                "xy_m": _numbers(i.center_m[:2]),
-                "score": _number(i.score),
-                "hits": i.hits,
-                "state": i.state,
-            }
-            for i in snapshot.instances
-        ],
+        "instances": [instance_json(instance) for instance in snapshot.instances],
     }
 
 

@@ -76,13 +76,8 @@ class ResultPublisher:
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.detections: Detections | None = None
         self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
-        self._sinks = sinks
-        self._map, self._site, self._goal_tracker, self._scorers = (
-            semantic_map,
-            site,
-            goals,
-            scorers,
-        )
+        self._sinks, self._map, self._site = sinks, semantic_map, site
+        self._goal_tracker, self._scorers = goals, scorers
         self._input_log, self._latency, self._health = input_log, latency, health
 
     def result(

@@ -17,7 +17,7 @@ from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.tasks.facts import TaskStatus, lengths_m, thinned
 from edge.text import bounded_lines, one_line
-from edge.types import MissionStatus
+from edge.types import Instance, MissionStatus
 
 MOST_POSES = 200
 """Number of poses of a trajectory to include."""
@@ -57,18 +57,20 @@ def status_message(result: TickResult) -> dict[str, object]:
         "controller": "answers" if result.has_controller else "silent",
         "stopped": result.stopped,
         "frontiers": len(result.frontiers()),
-        "instances": [
-            {
-                "id": i.id,
-                "label": i.label,
-                "xy_m": [float(i.center_m[0]), float(i.center_m[1])],
-                "score": float(i.score),
-                "hits": i.hits,
-                "state": i.state,
-            }
-            for i in result.instances()
-        ],
+        "instances": [instance_json(instance) for instance in result.instances()],
         **health,
+    }
+
+
+def instance_json(instance: Instance) -> dict[str, object]:
+    """Return an object that was detected as a target, JSON-ready."""
+    return {
+        "id": instance.id,
+        "label": instance.label,
+        "xy_m": [round(float(x), 4) for x in instance.center_m[:2]],
+        "score": round(float(instance.score), 4),
+        "hits": instance.hits,
+        "state": instance.state,
     }
 
 

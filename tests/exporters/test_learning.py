@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,17 +10,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed (extra `export`)")
 
 from exporters.files import ExportError  # noqa: E402
-from exporters.training.learning import Learner, average, rate  # noqa: E402
+from exporters.training.learning import Learner, LearningPlan, average, rate  # noqa: E402
 from exporters.training.results import auc  # noqa: E402
-
-
-@dataclass(frozen=True)
-class Pace:
-    steps: int = 20
-    rate: float = 1e-2
-    decay: float = 0.0
-    warm_up: int = 2
-    average: float = 0.9
 
 
 def test_the_rate_climbs_and_falls():
@@ -43,7 +33,8 @@ def learner_of(path, decay: float = 0.0, tables: bool = False) -> tuple[torch.nn
     model = torch.nn.Sequential(torch.nn.Linear(3, 3), torch.nn.Linear(3, 1))
     run = {"plan": {"decay": decay}, "ranks": 1, "frames": 1, "device": "cpu"}
     spared = model[1] if tables else None
-    return model, Learner(model, Pace(decay=decay), Pace.steps, path, run, tables=spared)
+    pace = LearningPlan(rate=1e-2, decay=decay, warm_up=2, average=0.9, keep_every=20)
+    return model, Learner(model, pace, 20, path, run, tables=spared)
 
 
 def steps(model, learner, n: int) -> None:

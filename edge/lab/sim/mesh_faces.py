@@ -147,10 +147,7 @@ def face_arrays(mesh: Any, T: np.ndarray, atlas: Atlas, node: int) -> tuple[np.n
 
 
 def _vertex_normals(triangles: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
-    """Return (count, 3) sums of the normals around each vertex, weighted by area.
-
-    trimesh's own function needs scipy to be fast, and the extra does not install scipy.
-    """
+    """Return (count, 3) sums of the normals around each vertex, weighted by area."""
     # (faces, 3), each as long as twice the face's area.
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     corner = faces.ravel()

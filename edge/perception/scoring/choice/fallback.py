@@ -10,7 +10,7 @@ from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
 
 
 class FallbackScorer:
-    """A scorer of views (`ViewScorer`) of two; see `FallbackModel`."""
+    """A scorer of views made of two; see `FallbackModel`."""
 
     def __init__(self, remote: LetterScorer, local: Any) -> None:
         self.name = remote.name
