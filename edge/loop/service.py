@@ -199,26 +199,15 @@ class Service:
             self.site.start = Place(START, pose)
         if self.mission.destinations:
             self.mission.locate(self.site.start.pose, pose)
-        decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
-        use = self._input_log.record_decision(USE, decide_use, usual="")
-        blind_ns = 1e9 * self.plausibility.blind_s
-        if observation.camera_index and now_ns - self._last_tick_ns > blind_ns:
-            use = use or "map"  # the robot does not drive by its second camera alone
+        use = self._check(observation, now_ns)
         self._end_stage(CHECK)
-        self.refused = use != ""  # "": everything; "map": mapping only; "none": nothing
+        self.refused = use != ""
         if not self.refused:
             self.stamp_ns = observation.stamp_ns
             self.perception.detect(observation)
             self.stage = MAP
             if self.checkpoint is not None:
                 self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
-        elif observation.camera_index == 0:
-            # If the images are late or frozen, the ticks before this one were blind, too. So
-            # `blind_s` counts from the last real picture of the surroundings.
-            surroundings_ns = self._input_log.record_decision(
-                SIGHTED, lambda: str(self.plausibility.meter.surroundings_ns)
-            )
-            self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
         if use != "none":
             self.stage = MAP
             update = self.perception.map(observation, now_ns)
@@ -252,6 +241,22 @@ class Service:
         """End this stage and begin the next."""
         self.latency.mark(stage, perf_counter_ns())
         self.stage = (stage + 1) % len(STAGES)
+
+    def _check(self, observation: Observation, now_ns: int) -> str:
+        """Stage `check`: return the permitted use: "" all, "map" for the map only, "none" none."""
+        decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
+        use = self._input_log.record_decision(USE, decide_use, usual="")
+        if observation.camera_index:
+            if now_ns - self._last_tick_ns > 1e9 * self.plausibility.blind_s:
+                use = use or "map"  # the robot does not drive by its second camera alone
+        elif use:
+            # If the images are late or frozen, the ticks before this one were blind, too. So
+            # `blind_s` counts from the last real picture of the surroundings.
+            surroundings_ns = self._input_log.record_decision(
+                SIGHTED, lambda: str(self.plausibility.meter.surroundings_ns)
+            )
+            self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
+        return use
 
     def _restore(self, checkpoint: ServiceCheckpoint, last_pose: StampedPose) -> None:
         """Restore map and objects of a checkpoint, with the first observation."""
