@@ -329,10 +329,10 @@ class GoalTracker:
         """Return True if the tracker already works on the mission's active target."""
         return self._n_retargets == mission.retargets
 
-    def retarget(self, mission: MissionRun) -> None:
+    def begin_target(self, mission: MissionRun) -> None:
         """Start on another target: forget goal and attempts of the last one."""
         self._n_retargets = mission.retargets
-        self.chooser.retarget(mission.target)
+        self.chooser.begin_target(mission.target)
 
     def forget_mission(self) -> None:
         """Forget everything about the last mission."""

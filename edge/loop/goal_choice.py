@@ -150,7 +150,7 @@ class GoalChooser:
             self._discard_candidate(tracked.goal, now_ns)
         self.abandon()
 
-    def retarget(self, target: str) -> None:
+    def begin_target(self, target: str) -> None:
         """Start on another target: forget goal and attempts of the last one."""
         self.abandon()
         self.search, self.place_failures = SearchState(), 0
@@ -188,7 +188,7 @@ class GoalChooser:
         }
 
     def load_state_dict(self, state: Arrays, target: str, now_ns: int) -> None:
-        """Restore a `state_dict` at the next `retarget`, if that is to this target.
+        """Restore a `state_dict` at the next `begin_target`, if that is to this target.
 
         The goal is sent again with a new stamp, because the result of the old one is unknown.
         """

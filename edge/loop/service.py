@@ -293,7 +293,7 @@ class Service:
         mission.check_limits(now_ns)
         if self.goals.follows(mission) or mission.done:
             return context
-        self.goals.retarget(mission)  # forgets the goal and the attempts of the last target
+        self.goals.begin_target(mission)  # forgets the goal and the attempts of the last target
         self.map.gather(self.behaviour.gather(), context.observation, now_ns)
         return self.perception.score(mission, context.observation, now_ns)
 

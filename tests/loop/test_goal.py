@@ -162,7 +162,7 @@ class Case:
         self.map, self.mission = Map(), Mission()
         self.now_ns, self._ahead_ns = 0, sensors_ahead_ns
         self.score = np.zeros(16, np.float32)
-        self.goals.retarget(self.mission)
+        self.goals.begin_target(self.mission)
 
     def context(self, pose: SE2 = HERE) -> PolicyInput:
         seen, self.map.here = Observation(0, self.now_ns, pose.matrix()), pose
@@ -432,7 +432,7 @@ def test_a_frontier_left_three_times_is_kept():
     assert chosen == [2, 1, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2]
     # Another place has its own count, and another target starts over.
     assert who(case.choose(frontier(2, -3, 0.3), chair(9, 3, 0.1))) == ("instance", 9)
-    case.goals.retarget(case.mission)
+    case.goals.begin_target(case.mission)
     assert who(case.choose(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
     assert who(case.choose(frontier(1, 3, 0.9), frontier(2, -3, 0.3))) == ("frontier", 1)
 
@@ -462,7 +462,7 @@ def test_with_no_candidates_the_robot_spins_three_times(
     assert who(case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0)) == ("frontier", 1)
     assert case.choose(pose=pose, after_s=5.0) is None
     assert case.goals.chooser.exhausted
-    case.goals.retarget(case.mission)
+    case.goals.begin_target(case.mission)
     assert not case.goals.chooser.exhausted
     assert case.turn().kind == "spin"
 

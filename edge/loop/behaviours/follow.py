@@ -362,7 +362,7 @@ class FollowBehaviour:
         result = self._stop.step(pose, turn_ended, self._config, now_ns)
         if result == "rejected":
             self._restart()
-            self._goals.retarget(self._mission)
+            self._goals.begin_target(self._mission)
         elif result == "verified" and drive.stop_is_end:
             self._continue(now_ns)
         elif result == "verified":
@@ -374,7 +374,7 @@ class FollowBehaviour:
         self._mission.on_task_steps_driven(self._result.n_done, now_ns)
         if not self._mission.done:
             self._restart()
-            self._goals.retarget(self._mission)
+            self._goals.begin_target(self._mission)
 
     def _write_again(self, why: str, now_ns: int) -> None:
         """Write a new trajectory, once. The second time, the mission fails."""

@@ -83,7 +83,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
     def _next_room(self) -> None:
         """Start on the next room, with a new search."""
         self._inside, self._chosen_id, self._is_final = None, 0, False
-        self._chooser.retarget(self._mission.target)
+        self._chooser.begin_target(self._mission.target)
 
     def _known_rooms(self) -> list[MappedRoom]:
         """Return the rooms that are left."""
