@@ -271,10 +271,12 @@ def test_the_image_is_sent_with_its_letters(make_observation):
     assert text == {"type": "text", "text": direction_question(2, "lamp")}
 
 
-def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
+def test_without_a_mark_or_room_for_its_letter_nothing_is_asked(make_observation):
     with serving(model()) as server:
         question = view(make_observation, rgb=np.zeros((4, 80, 3), np.uint8))
         assert put_to(scorer_of(server, max_image_px=80), question) is None
+        unmarked = MarkedView(question.observation, "lamp", ())
+        assert put_to(scorer_of(server), unmarked) is None
     assert server.requests == []
 
 

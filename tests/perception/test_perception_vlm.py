@@ -19,7 +19,7 @@ from edge.config import PerceptionConfig
 from edge.host import resources
 from edge.perception.runtime.cards import ModelError, load_card
 from edge.perception.scoring.choice.factory import make_view_scorer
-from edge.perception.scoring.choice.letter_scorer import LetterScorer, both_questions
+from edge.perception.scoring.choice.letter_scorer import both_questions
 from edge.perception.scoring.choice.question import SYSTEM, DetectedObject, Mark, MarkedView
 from edge.perception.scoring.vlm.answers import (
     answer_probabilities,
@@ -236,17 +236,6 @@ def test_a_view_becomes_a_choice(models_dir, make_observation, family):
     np.testing.assert_allclose(
         [*choice.p, choice.elsewhere, choice.scene], [*p, scene[0]], atol=1e-5
     )
-
-
-def test_a_question_needs_marks_and_an_image(make_observation):
-    class Eyes:
-        name, takes_images = "eyes", True
-
-    asks = LetterScorer(Eyes(), 640, 1.0)
-    with pytest.raises(ModelError, match=r"model eyes: .* observation 3 has no camera image"):
-        asks.prepare(view_of(make_observation))
-    seen = view_of(make_observation, rgb=np.zeros((4, 80, 3), np.uint8))
-    assert asks.answer(asks.prepare(MarkedView(seen.observation, "lamp", ()))) is None
 
 
 # -- errors ---------------------------------------------------------------------------------
