@@ -136,7 +136,7 @@ class Service:
         self._travel_costs = make_travel_cost_estimator(
             config.mission.planner, config.loop.lockstep
         )
-        self.behaviour = self._make_behaviour()
+        self.behaviour = _make_behaviour(self)
         for part in (self._travel_costs, self.map.room_surveyor, scorers):
             if part is not None:
                 part.wrap_workers(input_log.wrap)
@@ -149,8 +149,16 @@ class Service:
                 config.perception, worker, self.detector_swap, scorers, self.event
             )
         self.plausibility = Plausibility(config, self.event)
+        parts: dict[str, Part | None] = {
+            "checkpoint": checkpoint,
+            "segmenter": worker.masker,
+            "ground": ground,
+            "swap": self.detector_swap,
+            "load_shedding": self.load_shedder,
+            "plausibility": self.plausibility,
+        }
         self.health = HealthWatch(
-            worker, self._parts, scorers, self.error_boundary, self.event, overruns, sinks, inputs
+            worker, parts, scorers, self.error_boundary, self.event, overruns, sinks, inputs
         )
         self.publisher = ResultPublisher(
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
@@ -334,18 +342,12 @@ class Service:
         self.perception.worker.set_prompts(spec.prompts)
         self.control.replace(mission, now_ns)
         self.behaviour.close()
-        self.behaviour = self._make_behaviour()
+        self.behaviour = _make_behaviour(self)
         self._reset_search()
         self.perception.begin_mission()
         if self._travel_costs is not None:
             self._travel_costs.discard_pending()
         mission.start(now_ns)
-
-    def _make_behaviour(self) -> Behaviour:
-        parts = (self.mission, self.config, self.map, self.goals)
-        if self.mission.spec.steps is None:
-            return SearchBehaviour(*parts, self._travel_costs)
-        return FollowBehaviour(*parts, self._input_log, self.ground)
 
     def _reset_search(self) -> None:
         """Forget what was examined and tried for the previous mission."""
@@ -365,7 +367,8 @@ class Service:
             ground: As `policy`, what names kinds of ground; None: all ground is of one kind.
         """
         self._input_log.note("config", config=config)
-        self.config, self.perception.policy, self.ground = config, policy, ground
+        self.config, self.perception.policy = config, policy
+        self.ground = self.health.parts["ground"] = ground
         self.map.reconfigure(config)
         self.detector_swap.perception = config.perception
         if self.load_shedder is not None:
@@ -465,17 +468,6 @@ class Service:
 
     # -- state for other modules --------------------------------------------------------------
 
-    def _parts(self) -> dict[str, Part | None]:
-        """Return the parts with a status of their own, by their names in the status message."""
-        return {
-            "checkpoint": self.checkpoint,
-            "segmenter": self.perception.worker.masker,
-            "ground": self.ground,
-            "swap": self.detector_swap,
-            "load_shedding": self.load_shedder,
-            "plausibility": self.plausibility,
-        }
-
     @property
     def mission(self) -> MissionRun:
         """The running mission, or the last one."""
@@ -491,3 +483,11 @@ class Service:
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
             self.perception.scores,
         )  # fmt: skip
+
+
+def _make_behaviour(service: Service) -> Behaviour:
+    """Return what carries out the mission of a service."""
+    parts = (service.mission, service.config, service.map, service.goals)
+    if service.mission.spec.steps is None:
+        return SearchBehaviour(*parts, service._travel_costs)
+    return FollowBehaviour(*parts, service._input_log, service.ground)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -86,7 +86,7 @@ class HealthWatch:
 
     Args:
         worker: Runs the detector.
-        parts: Returns the parts that report their own status, by name; None: there is no such part.
+        parts: As in `Attributes`.
         scorers: The scorers, if any.
         error_boundary: Counts the exceptions of the loop.
         event: Called with a text for people and the loop time in ns.
@@ -95,6 +95,7 @@ class HealthWatch:
         inputs: Returns the source's table of inputs; empty if it has none.
 
     Attributes:
+        parts: The parts that report their own status, by name; None: there is no such part.
         overruns: As in `Args`.
         inputs: As in `Args`.
     """
@@ -102,7 +103,7 @@ class HealthWatch:
     def __init__(
         self,
         worker: DetectorWorker,
-        parts: Callable[[], Mapping[str, Part | None]],
+        parts: dict[str, Part | None],
         scorers: Scorers | None,
         error_boundary: ErrorBoundary,
         event: Callable[[str, int], None],
@@ -110,7 +111,7 @@ class HealthWatch:
         sinks: Sequence[Sink] = (),
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
     ) -> None:
-        self._worker, self._parts, self._scorers = worker, parts, scorers
+        self._worker, self.parts, self._scorers = worker, parts, scorers
         self._error_boundary, self._event = error_boundary, event
         self.overruns, self._sinks, self.inputs = overruns, sinks, inputs
         self._reported = Health()  # state and detail of the detector that were reported
@@ -144,10 +145,7 @@ class HealthWatch:
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
             "inputs": inputs_status(self.inputs()),
-            **{
-                name: None if part is None else part.status()
-                for name, part in self._parts().items()
-            },
+            **{name: None if part is None else part.status() for name, part in self.parts.items()},
         }
 
 

@@ -283,7 +283,7 @@ def test_each_change_of_the_detector_is_reported_once():
     detector = SimpleNamespace(name="far", health=lambda: now.health)
     worker = SimpleNamespace(detector=detector, stats=SimpleNamespace(in_a_row=0))
     texts: list[str] = []
-    watch = HealthWatch(worker, dict, None, None, lambda text, now_ns: texts.append(text))
+    watch = HealthWatch(worker, {}, None, None, lambda text, now_ns: texts.append(text))
     for now.health in (loads, far, far, near, near, ill, ill, near, far, near, far, far):
         watch.check(0)
     assert [text.removeprefix("detector far: ") for text in texts] == [
