@@ -235,11 +235,16 @@ class InstanceTracker:
         A reached instance becomes a confirmed one; a rejected one is forgotten and may be found
         again.
         """
+        self.forget_reached()
         for track in list(self.tracks.values()):
+            if track.instance.state == "rejected":
+                del self.tracks[track.instance.id]
+
+    def forget_reached(self) -> None:
+        """Make each reached instance a confirmed one."""
+        for track in self.tracks.values():
             if track.instance.state == "reached":
                 track.instance.state = "confirmed"
-            elif track.instance.state == "rejected":
-                del self.tracks[track.instance.id]
 
     def forget_rejected(self, label: str) -> None:
         """Forget the rejected instances of a label (or a synonym): they may be found again."""
