@@ -291,9 +291,7 @@ def has_own_end(destination: Destination | None) -> bool:
     An exploration and a tour end when nothing is left, or after their time. A wait ends after its
     time, or when a person says so.
     """
-    return isinstance(
-        destination, (ExploreTarget, EveryRoomTarget, EveryObjectTarget, WaitTarget)
-    )
+    return isinstance(destination, (ExploreTarget, EveryRoomTarget, EveryObjectTarget, WaitTarget))
 
 
 def with_caller(site: Site, pose: SE2 | None) -> Site:

@@ -83,7 +83,7 @@ PLACES = ["dock", "loading bay 2"]
         ("go to the kitchen and see how many chairs there are",
          'go to the kitchen, then find "every chair in the kitchen"'),
         ("find a chair, then another one", 'find "chair 1 of 2", then find "chair 2 of 2"'),
-        ("find a chair in the hall, wait 5 seconds, then go to another chair",
+        ("find a chair in the hall and wait 5 seconds, then go to another chair",
          'find "chair 1 of 2 in the hall", then go to "wait 5 s", then find "chair 2 of 2"'),
         ("first visit each bedroom, then each bathroom",
          'first go to "every bedroom", then go to "every bathroom"'),

@@ -22,7 +22,11 @@ from edge.loop.behaviours.room_pursuits import (
     SearchRoomPursuit,
 )
 from edge.loop.behaviours.room_targets import close_forbidden, known_targets
-from edge.loop.behaviours.tours import EveryObjectInRoomPursuit, EveryObjectPursuit, EveryRoomPursuit
+from edge.loop.behaviours.tours import (
+    EveryObjectInRoomPursuit,
+    EveryObjectPursuit,
+    EveryRoomPursuit,
+)
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import parse_description

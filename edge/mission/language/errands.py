@@ -172,7 +172,7 @@ def _rewrite_another(found: re.Match[str]) -> str | None:
     if patterns.BAN.search(between) or None in wheres or not _is_countable(noun):
         return None
     one, two = (f'"{noun} {n} of 2{where}"' for n, where in enumerate(wheres, 1))
-    return f'{found["lead"]}{found["first"]} {one}{between}, then find {two}'
+    return f"{found['lead']}{found['first']} {one}{between}, then find {two}"
 
 
 def _is_countable(noun: str) -> bool:

@@ -44,8 +44,8 @@ class MemoryQuestion:
 
     Attributes:
         topic: "where", "exists" and "count" ask for objects of the name `about`; "rooms", "places"
-            and "seen" for all that are known; "self" for the robot's own place; "doing" for the state
-            of the mission; "help" for the possible instructions.
+            and "seen" for all that are known; "self" for the robot's own place; "doing" for the
+            state of the mission; "help" for the possible instructions.
         about: a name without an article, which may be related to another one, as in "mug on the
             table". For "seen", what the objects are near. "" if the topic needs none.
         room: only objects in this room; "" for all.
