@@ -70,7 +70,9 @@ def _answer(service: Service, intent: MemoryQuestion, now_ns: int) -> str:
         text = str(answer["text"])
         if intent.room and answer["objects"] and not in_room:
             return f"none in the {one_line(intent.room)}; {text}"
-        if intent.topic == "count" and (number := sum(_is_of(one, name) for one in in_room)):
+        # Memory does not know which boxes are on the shelf.
+        counts = intent.topic == "count" and names.head_phrase(intent.about) == intent.about
+        if counts and (number := sum(_is_of(one, name) for one in in_room)):
             room = f" in the {one_line(intent.room)}" if intent.room else ""
             return f"{number} {name if number == 1 else names.plural(name)} seen{room}; {text}"
         return f"yes, {text}" if intent.topic == "exists" and in_room else text

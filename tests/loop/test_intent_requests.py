@@ -47,6 +47,8 @@ def test_a_question_is_answered_and_the_mission_stays(loop):
     assert say(loop, f"Is there a {name}?")["text"].startswith(f"yes, {name}: ")
     many = say(loop, f"How many {names.plural(name)} are there?")["text"]
     assert re.match(rf"\d+ {name}\w* seen; {name}: ", many), many
+    many = say(loop, f"How many {names.plural(name)} are next to the unicorn?")["text"]
+    assert many.startswith(f"{name}: ")
     assert say(loop, "How many unicorns are there?")["text"].startswith("no unicorn has been seen")
     assert say(loop, "What is near the unicorn?")["text"].startswith("no unicorn has been seen")
     assert say(loop, "What can you do?")["text"].startswith("say for example: 'find my keys'")

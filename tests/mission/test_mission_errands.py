@@ -80,6 +80,7 @@ PLACES = ["dock", "loading bay 2"]
         ("look for every red chair in the kitchen and come back",
          'find "every red chair in the kitchen", then go to "here"'),
         ("count the chairs in the house", 'find "every chair"'),
+        ("find all wheelchairs on the ward", 'find "every wheelchair"'),
         ("go to the kitchen and see how many chairs there are",
          'go to the kitchen, then find "every chair in the kitchen"'),
         ("find a chair, then another one", 'find "chair 1 of 2", then find "chair 2 of 2"'),

@@ -132,7 +132,7 @@ class SearchBehaviour:
         pose, now_ns = context.pose, context.now_ns
         if mission.progress.round != self._round:  # "two chairs" may be the same in each round
             self._round = mission.progress.round
-            self._map.tracker.forget_reached()
+            self._map.tracker.forget_verdicts(rejected=False)
         only_confirmed = not self._config.policy.instances
         seen = newest_ids(self._map.tracker, self._object_targets, only_confirmed)
         mission.on_detections(seen | known_targets(mission, self._map), now_ns)

@@ -68,11 +68,11 @@ EVERY_ROOM = """
 ALL_BUT = re.compile(
     r"^(?P<lead>(?:.*(?:[.;,]| and| then))?)(?P<order> (?:go|drive|visit|enter|tour|see|check|look|"
     r"explore|patrol|guard|scan|map|survey|search|inspect|scout)\b(?: (?!not|never|avoid|except)"
-    rf"[^ .;!?]+)*? (?:{EACH_ROOM}|everything|everywhere|(?:the|this|our|my|all)(?: whole| entire)? "
-    r"(?:house|home|flat|apartment|building|floor|place|ward|warehouse|rooms))\b[^.;!?,]*?),? "
+    rf"[^ .;!?]+)*? (?:{EACH_ROOM}|everything|everywhere|(?:the|this|our|my|all)(?: whole| "
+    r"entire)? (?:house|home|flat|apartment|building|floor|place|ward|warehouse|rooms))\b[^.;!?,]*?),? "
     r"(?:(?P<except>(?:except|excluding|other than|apart from)(?: for)?|but(?: not)?)|"
-    r"(?:but |and )?(?:avoid|(?:stay|keep) out of|(?:do not|never|without) (?:go(?:ing)?|driv(?:e|ing)|"
-    r"enter(?:ing)?)(?: (?:in|into|to|inside))?))"
+    r"(?:but |and )?(?:avoid|(?:stay|keep) out of|(?:do not|never|without) (?:go(?:ing)?|"
+    r"driv(?:e|ing)|enter(?:ing)?)(?: (?:in|into|to|inside))?))"
     rf" (?P<left_out>{NAME}(?:(?:,? (?:and|or) |, ){NAME})*)"
     r"(?=[,.;!?]|$| (?:and|then|for|until|once|twice|\w+ times)\b)",
     re.I,

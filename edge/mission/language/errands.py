@@ -189,7 +189,10 @@ def _rewrite_counted(found: re.Match[str]) -> str | None:
     *first, last = found["object"].lower().split()
     how_many = found["count"].lower()
     count = 2 if how_many == "both" else number_of(how_many) or 0
-    where = relation_text(found["relation"], found["anchor"])
+    relation, anchor = found.group("relation", "anchor")
+    if relation in ("on", "at") and is_room(bare(anchor)) and not is_marked(bare(anchor)):
+        relation = "in"  # "on the ward"
+    where = relation_text(relation, anchor)
     if re.fullmatch(f" in(?: the)? {patterns.EVERYTHING}", where or ""):
         where = ""  # "in the house"
     noun = " ".join((*first, names.singular(last)))
