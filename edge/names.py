@@ -326,6 +326,20 @@ def singular(phrase: str) -> str:
     return f"{head} {last}" if head else last
 
 
+def plural(phrase: str) -> str:
+    """Return the phrase with its last word in the plural, by the usual English endings.
+
+    >>> plural("dining chair"), plural("box"), plural("toy shelf"), plural("scissors")
+    ('dining chairs', 'boxes', 'toy shelves', 'scissors')
+    """
+    head, space, last = phrase.rpartition(" ")
+    if last in _PAIRS or phrase in _EYEGLASSES:
+        return phrase
+    ending = "es" if last.endswith(("s", "x", "ch", "sh")) else "s"
+    regular = re.sub(r"(?<![aeiou])y$", "ie", last) + ending
+    return head + space + next((many for many, one in _PLURALS.items() if one == last), regular)
+
+
 def is_name(text: str) -> bool:
     """Return True if a text is an object name; see `normalise`."""
     try:

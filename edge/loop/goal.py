@@ -17,6 +17,7 @@ from edge.loop.goal_client import ARRIVED_M, GoalClient
 from edge.loop.known_goals import AT_PLACE_M
 from edge.loop.standstill import StandstillMonitor
 from edge.mapping.grid import RollingMap
+from edge.mission.destinations import EveryObjectTarget
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.text import one_line
@@ -246,11 +247,17 @@ class GoalTracker:
             chooser.abandon()  # a task wanted only the confirmation of this object
             return
         if verdict == "reached":
+            label, is_new = mission.target, instance.state != "reached"
             self._tracker.mark_reached(instance.id)
-            label = mission.target
-            mission.on_reached(f"confirmed, seen in {instance.hits} images", now_ns)
+            evidence = f"confirmed, seen in {instance.hits} images"
+            if not isinstance(mission.destinations.get(label), EveryObjectTarget):
+                mission.on_reached(evidence, now_ns)
+            elif is_new:  # in this tick, it may be chosen again
+                x_m, y_m, _ = instance.center_m
+                text = f"found: {instance.label} at ({x_m:.1f}, {y_m:.1f}) ({evidence})"
+                mission.log_event(now_ns, "seen", label, text)
             if mission.target == label and not mission.done:
-                # The mission visits this target again: use another object, or this one later.
+                # The mission goes on to another object of this target, or to this one later.
                 chooser.discard(now_ns)
             return
         if verdict == "rejected":

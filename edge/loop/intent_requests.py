@@ -62,13 +62,19 @@ def _call_handler(
 
 def _answer(service: Service, intent: MemoryQuestion, now_ns: int) -> str:
     """Return the answer to a question in one line."""
-    if intent.topic in ("where", "exists"):
+    if intent.topic in ("where", "exists", "count"):
         name = names.head_phrase(intent.about)
+        name = names.singular(name) if intent.topic == "count" else name
         answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
         in_room = _in_room(service, answer["objects"], intent.room)
         text = str(answer["text"])
         if intent.room and answer["objects"] and not in_room:
             return f"none in the {one_line(intent.room)}; {text}"
+        # Memory does not know which boxes are on the shelf.
+        counts = intent.topic == "count" and names.head_phrase(intent.about) == intent.about
+        if counts and (number := sum(_is_of(one, name) for one in in_room)):
+            room = f" in the {one_line(intent.room)}" if intent.room else ""
+            return f"{number} {name if number == 1 else names.plural(name)} seen{room}; {text}"
         return f"yes, {text}" if intent.topic == "exists" and in_room else text
     if intent.topic == "seen":
         answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
@@ -112,6 +118,11 @@ def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
     return [one for one, room in zip(objects, at, strict=True) if room and room.id in ids]
 
 
+def _is_of(found: dict, name: str) -> bool:
+    """Return True if an object is of this name, and not only similar."""
+    return names.is_kind_of(found["name"], name)
+
+
 def _seen_near(service: Service, name: str, objects: list[dict], now_ns: int) -> str:
     """Return what is near the known objects of a name, or that there are none.
 
@@ -119,7 +130,7 @@ def _seen_near(service: Service, name: str, objects: list[dict], now_ns: int) ->
     """
     answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
     # Without an object of this name, the answer has similar ones.
-    anchors = [one for one in answer["objects"] if names.is_kind_of(one["name"], name)]
+    anchors = [one for one in answer["objects"] if _is_of(one, name)]
     if not anchors:
         return str(answer["text"])
     near = [

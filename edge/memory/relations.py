@@ -1,4 +1,4 @@
-"""Objects that are described by a relation: "chair next to desk", "second door", "mug in kitchen".
+"""Objects that are described by a relation: "chair next to desk", "second door", "every mug".
 
 A detector knows names, not relations. So it looks for the noun ("chair") and for the anchor
 ("desk"). The relation is then decided on the map of objects.
@@ -65,6 +65,7 @@ _PHRASES = sorted((*_WORDS, *_UNDECIDABLE), key=len, reverse=True)
 _SPLIT = re.compile(rf"^(?P<noun>.+?)\s+(?P<word>{'|'.join(_PHRASES)})\s+(?P<anchor>.+)$")
 
 _COUNTED = re.compile(r"(?P<noun>.+) (?P<n>\w+) of (?P<of>\w+)")
+_EVERY = "every "
 
 
 class RelationError(UserError):
@@ -80,7 +81,7 @@ class DescribedObject:
         anchor: name of the other object; "" without a relation.
         room: name of the room that it must be in; "" for any.
         nth: number in the order in which such objects were seen: 2 for the second one; 0 for any.
-        is_new: True for one that the mission has not reached yet: "chair 2 of 3".
+        is_new: True for one that the mission has not reached yet: "chair 2 of 3", "every chair".
     """
 
     noun: str
@@ -130,6 +131,8 @@ def parse_description(text: str) -> DescribedObject | None:
     is_new = counted is not None and all(number_words.number([n]) for n in counted.group("n", "of"))
     if counted is not None and is_new:
         noun = counted["noun"]
+    elif noun.startswith(_EVERY):
+        noun, is_new = noun.removeprefix(_EVERY), True
     if not (relation or room or nth or is_new):
         return None
     return DescribedObject(noun, relation, anchor, room, nth, is_new)

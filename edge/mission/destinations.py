@@ -17,7 +17,8 @@ from pydantic import ConfigDict, Discriminator, Field, TypeAdapter
 from edge import names, number_words
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room
+from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room, parse_description
+from edge.mission.language.everyday_words import is_room
 from edge.mission.language.places import EVERY, EXPLORED, HERE, NO, START
 from edge.mission.language.spans import shown_s
 from edge.text import one_line
@@ -35,7 +36,7 @@ _EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{
 _CANNOT_FAIL = re.compile(rf"{HERE}$|wait\b|{NO}")  # after NO
 _CHECK = re.compile(r"check (?:the )?(?P<name>.+?)(?: in (?:the )?(?P<room>.+))?")
 _ROOM_NUMBER = re.compile(r"room (?P<n>\w+)")
-_EVERY_ROOM = re.compile(rf"{EVERY} (?P<name>.+)")
+_EVERY = re.compile(rf"{EVERY} (?P<name>.+)")
 _ROOM_WITH = re.compile(r"room with (?:(?:the|a|an) )?(?P<name>.+)")
 
 Name = Annotated[str, Field(max_length=1000)]
@@ -137,6 +138,22 @@ class EveryRoomTarget:
 
 
 @dataclass(frozen=True, slots=True)
+class EveryObjectTarget:
+    """All objects of a name, reached when the robot was at each one and all is explored.
+
+    Attributes:
+        name: name or description of one such object.
+        room: name of the room to look in; "" for everywhere.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: Name
+    room: Name = ""
+    kind: Literal["every_object"] = "every_object"
+
+
+@dataclass(frozen=True, slots=True)
 class FailureTarget:
     """The failure of another target of the mission: it was given up, "no mug" for "mug".
 
@@ -158,6 +175,7 @@ Destination = Annotated[
         CheckTarget,
         RoomTarget,
         EveryRoomTarget,
+        EveryObjectTarget,
         FailureTarget,
     ],
     Discriminator("kind"),
@@ -171,12 +189,13 @@ def destination_of(text: str, site: Site) -> Destination | None:
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
     `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
     `check kettle in kitchen`, the names of rooms and their kinds, `room 3`, `largest room`,
-    `next room`, `room with sofa`, `every room` and `every bedroom`. A place of the site comes
-    before a phrase, and a room's name before a kind. A kind of room that the robot cannot recognise
-    is an object, unless a person gave a room that name.
+    `next room`, `room with sofa`, `every room`, `every bedroom` and `every chair in kitchen`. A
+    place of the site comes before a phrase, and a room's name before a kind. A kind of room that
+    the robot cannot recognise is an object, unless a person gave a room that name.
 
     Raises:
         DestinationError: a duration is no number or too long, or the caller's pose is not known.
+        RelationError: see `parse_description`.
 
     Example:
         >>> destination_of("sofa", Site()) is None
@@ -202,9 +221,13 @@ def destination_of(text: str, site: Site) -> Destination | None:
         return ExploreTarget(room, found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
         return CheckTarget(found["name"], _room_name_of(found["room"], site))
-    if found := _EVERY_ROOM.fullmatch(text):
-        is_all = found["name"] == "room"
-        return EveryRoomTarget("" if is_all else _room_name_of(found["name"], site))
+    if found := _EVERY.fullmatch(text):
+        name, described = found["name"], parse_description(found["name"])
+        if described is None and (is_room(name) or site.room_name(name)):
+            return EveryRoomTarget("" if name == "room" else _room_name_of(name, site))
+        if described is not None and (described.nth or described.is_new):
+            raise DestinationError(f"{one_line(text, 60)}: say 'every' or a number, not both")
+        return EveryObjectTarget(name, _room_name_of(described and described.room, site))
     return _room_of(text, site)
 
 
@@ -268,7 +291,7 @@ def has_own_end(destination: Destination | None) -> bool:
     An exploration and a tour end when nothing is left, or after their time. A wait ends after its
     time, or when a person says so.
     """
-    return isinstance(destination, (ExploreTarget, EveryRoomTarget, WaitTarget))
+    return isinstance(destination, (ExploreTarget, EveryRoomTarget, EveryObjectTarget, WaitTarget))
 
 
 def with_caller(site: Site, pose: SE2 | None) -> Site:
@@ -292,7 +315,7 @@ def describe_destination(name: str, destination: Destination) -> str:
         if destination.which == "with":
             return f"the room with the {destination.name}"
         return f"the {names.normalise(name)}"
-    if isinstance(destination, EveryRoomTarget):
+    if isinstance(destination, (EveryRoomTarget, EveryObjectTarget)):
         return name
     if isinstance(destination, FailureTarget):
         return f"the point where the robot gives up {destination.target}"

@@ -15,6 +15,7 @@ from edge.mission.destinations import (
     CALLER,
     CheckTarget,
     Destination,
+    EveryObjectTarget,
     EveryRoomTarget,
     ExploreTarget,
     FailureTarget,
@@ -142,6 +143,8 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         return "come to the caller"
     if isinstance(destination, EveryRoomTarget):
         return f"go into {name}"
+    if isinstance(destination, EveryObjectTarget):
+        return f"look for {name}"
     if isinstance(destination, RoomTarget) and destination.which != "called":
         return f"go to {describe_destination(name, destination)}"
     return f"go to {_with_article(name)}"

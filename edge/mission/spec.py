@@ -15,11 +15,10 @@ from edge.memory import Site, parse_description
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
+    EveryObjectTarget,
     EveryRoomTarget,
-    ExploreTarget,
-    FailureTarget,
+    PlaceTarget,
     RoomTarget,
-    WaitTarget,
     with_caller,
 )
 from edge.mission.instructions import (
@@ -71,7 +70,8 @@ class MissionSpec:
     def prompt_for(self, target: str) -> str:
         """Return the prompt to search for while this target is pursued."""
         destination = self.translation.destinations.get(target)
-        wanted = destination.name if isinstance(destination, CheckTarget) else target
+        is_named = isinstance(destination, (CheckTarget, EveryObjectTarget))
+        wanted = destination.name if is_named else target
         if wanted not in self.prompts and (described := parse_description(wanted)) is not None:
             wanted = described.noun
         if wanted in self.prompts:
@@ -214,7 +214,8 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     # One step is enough, or only one target may be reached. A tour has several stops.
     alone = automaton.steps_left[0] < 2 or len(automaton.possible) < 2
     destinations = translation.destinations
-    has_tour = any(isinstance(destinations.get(name), EveryRoomTarget) for name in targets)
+    tours = (EveryRoomTarget, EveryObjectTarget)
+    has_tour = any(isinstance(destinations.get(name), tours) for name in targets)
     if translation.repeat is not None and alone and not has_tour:
         raise MissionError(
             f"mission: {one_line(formula)} cannot be repeated: name at least two objects or places "
@@ -231,7 +232,8 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
     for target in targets:
         destination = destinations.get(target)
         by_object = isinstance(destination, RoomTarget) and destination.which == "with"
-        if destination is None or isinstance(destination, CheckTarget) or by_object:
+        is_named = isinstance(destination, (CheckTarget, EveryObjectTarget))
+        if destination is None or is_named or by_object:
             wanted = target if destination is None else destination.name
             relation = parse_description(wanted)
             for name in (wanted,) if relation is None else relation.prompts:
@@ -244,9 +246,7 @@ def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) 
     for name in set(automaton.propositions).difference(automaton.possible):
         destination = destinations.get(name)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
-        if chosen or isinstance(
-            destination, (CheckTarget, EveryRoomTarget, ExploreTarget, FailureTarget, WaitTarget)
-        ):
+        if chosen or not isinstance(destination, (PlaceTarget, RoomTarget, type(None))):
             raise MissionError(
                 f"mission: {one_line(name, 60)}: the robot can do this, but it cannot be "
                 "forbidden; leave it out"

@@ -16,6 +16,7 @@ from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
 from edge.memory import Place, RoomName, Site, Zone
+from edge.mission.repetition import Repetition
 from edge.mission.spec import prepare
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.types import Instance
@@ -152,6 +153,28 @@ def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
     status = in_rooms(tmp_path, formula).run(150).service.status
     assert status.phase == "reached", status
     assert re.match(answer, status.reason), status.reason
+
+
+@pytest.mark.parametrize(
+    ("formula", "phase", "answer"),
+    [
+        ('F "every sofa"', "reached", r"found 1 sofa: in the workshop at \(\S+, \S+\)(;|$)"),
+        ('F "every bed in workshop"', "failed", "explored all reachable space, found no bed$"),
+        ('F "every bed in bedroom"', "reached", "found 1 bed: in the bedroom at "),
+    ],
+)
+def test_all_objects_of_a_name_are_counted(formula, phase, answer, tmp_path):
+    status = in_rooms(tmp_path, formula).run(150).service.status
+    assert status.phase == phase, status
+    assert re.match(answer, status.reason), status.reason
+
+
+def test_each_round_counts_all_objects_again(tmp_path):
+    loop = loop_of(tmp_path, 'F "every sofa"', time_limit_s=2.0)
+    spec = prepare(loop.config.mission, formula='F "every sofa"', repeat=Repetition(2))
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
+    status = loop.run(150).service.status
+    assert status.reason.count("found 1 sofa") == 2, status
 
 
 @pytest.mark.parametrize(("obj", "phase"), [("sofa", "reached"), ("bed", "failed")])

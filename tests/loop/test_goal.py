@@ -135,7 +135,7 @@ class Mission:
 
     target, retargets, done, stopped = "chair", 1, False, ""
     progress, sets = SimpleNamespace(forbidden=()), SimpleNamespace(detected={"chair"})
-    spec = SimpleNamespace(steps=None)
+    spec, destinations = SimpleNamespace(steps=None), {}
 
     def __init__(self) -> None:
         self.arrivals: list[str] = []

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 
 import pytest
 from simulated import simulated
 
+from edge import names
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
@@ -43,6 +45,11 @@ def test_a_question_is_answered_and_the_mission_stays(loop):
     seen = say(loop, "What have you seen?")["text"].removeprefix("seen: ").split(", ")[0]
     name = seen.rpartition(" × ")[2]
     assert say(loop, f"Is there a {name}?")["text"].startswith(f"yes, {name}: ")
+    many = say(loop, f"How many {names.plural(name)} are there?")["text"]
+    assert re.match(rf"\d+ {name}\w* seen; {name}: ", many), many
+    many = say(loop, f"How many {names.plural(name)} are next to the unicorn?")["text"]
+    assert many.startswith(f"{name}: ")
+    assert say(loop, "How many unicorns are there?")["text"].startswith("no unicorn has been seen")
     assert say(loop, "What is near the unicorn?")["text"].startswith("no unicorn has been seen")
     assert say(loop, "What can you do?")["text"].startswith("say for example: 'find my keys'")
     assert say(loop, "What are you doing?")["text"].startswith("find the bed: ")

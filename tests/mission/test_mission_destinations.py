@@ -13,6 +13,7 @@ from edge.geometry import SE2
 from edge.memory import Place, Site
 from edge.mission.destinations import (
     CheckTarget,
+    EveryObjectTarget,
     EveryRoomTarget,
     ExploreTarget,
     FailureTarget,
@@ -48,6 +49,9 @@ SITE = Site((Place("dock", DOCK), Place("wait 5 s", DOCK)))
         ("explored kitchen for one hour", ExploreTarget("kitchen", 3600.0)),
         ("every room", EveryRoomTarget()),
         ("every living room", EveryRoomTarget("living room")),
+        ("every chair", EveryObjectTarget("chair")),
+        ("every chair next to the desk", EveryObjectTarget("chair next to the desk")),
+        ("every chair in the kitchen", EveryObjectTarget("chair in the kitchen", "kitchen")),
         ("check stove", CheckTarget("stove")),
         ("check the red mug", CheckTarget("red mug")),
         ("check the kettle in the kitchen", CheckTarget("kettle", "kitchen")),
@@ -87,6 +91,7 @@ destinations = st.one_of(
     st.builds(WaitTarget, seconds),
     st.builds(CheckTarget, st.text(max_size=20)),
     st.builds(EveryRoomTarget, st.text(max_size=20)),
+    st.builds(EveryObjectTarget, st.text(max_size=20), st.text(max_size=20)),
     st.builds(FailureTarget, st.text(max_size=20)),
 )
 

@@ -18,6 +18,7 @@ from edge.loop.semantic_map import SemanticMap
 from edge.memory import RECOGNISED_KINDS, DescribedObject, MappedRoom, RoomSurvey, kind_of_room
 from edge.mission.destinations import (
     CheckTarget,
+    EveryObjectTarget,
     EveryRoomTarget,
     ExploreTarget,
     RoomTarget,
@@ -277,7 +278,11 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def __init__(
         self,
-        destination: ExploreTarget | CheckTarget | DescribedObject | EveryRoomTarget,
+        destination: ExploreTarget
+        | CheckTarget
+        | DescribedObject
+        | EveryRoomTarget
+        | EveryObjectTarget,
         mission: MissionRun,
         semantic_map: SemanticMap,
         goals: GoalTracker,

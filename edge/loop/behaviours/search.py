@@ -22,12 +22,17 @@ from edge.loop.behaviours.room_pursuits import (
     SearchRoomPursuit,
 )
 from edge.loop.behaviours.room_targets import close_forbidden, known_targets
-from edge.loop.behaviours.tours import EveryRoomPursuit
+from edge.loop.behaviours.tours import (
+    EveryObjectInRoomPursuit,
+    EveryObjectPursuit,
+    EveryRoomPursuit,
+)
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import parse_description
 from edge.mission.destinations import (
     CheckTarget,
+    EveryObjectTarget,
     EveryRoomTarget,
     ExploreTarget,
     FailureTarget,
@@ -53,6 +58,11 @@ def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
     return pursuit_class(destination, *others)
 
 
+def _make_every_object_pursuit(destination: EveryObjectTarget, *others: Any) -> Pursuit:
+    pursuit_class = EveryObjectInRoomPursuit if destination.room else EveryObjectPursuit
+    return pursuit_class(destination, *others)
+
+
 def _make_object_pursuit(_: None, mission: MissionRun, *others: Any) -> Pursuit:
     """Return the pursuit of an object; one with a fallback is not searched for outside its room."""
     described = parse_description(mission.target)
@@ -70,6 +80,7 @@ PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
     CheckTarget: _make_check_pursuit,
     RoomTarget: RoomPursuit,
     EveryRoomTarget: EveryRoomPursuit,
+    EveryObjectTarget: _make_every_object_pursuit,
 }
 """Pursuit by the class of the destination; `None` is for an object, which has no destination."""
 
@@ -96,6 +107,7 @@ class SearchBehaviour:
         self._object_targets = tuple(
             t for t in mission.spec.targets if t not in mission.destinations
         )
+        self._round = mission.progress.round
         # `MissionRun.retargets` when the pursuit began, and the pursuit.
         self._pursued: tuple[int, Pursuit] | None = None
 
@@ -118,6 +130,9 @@ class SearchBehaviour:
         """Check the goal; fail the target if the search for it is exhausted."""
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
+        if mission.progress.round != self._round:  # "two chairs" may be the same in each round
+            self._round = mission.progress.round
+            self._map.tracker.forget_verdicts(rejected=False)
         only_confirmed = not self._config.policy.instances
         seen = newest_ids(self._map.tracker, self._object_targets, only_confirmed)
         mission.on_detections(seen | known_targets(mission, self._map), now_ns)

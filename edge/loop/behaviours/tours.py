@@ -1,4 +1,4 @@
-"""Tour of rooms: the pursuit that goes into each room, or into each one of a kind."""
+"""Tours: pursuits that go into each room, or to each object of a name."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.loop.behaviours.pursuits import objects_found
-from edge.loop.behaviours.room_pursuits import ExploreRoomPursuit
+from edge import names
+from edge.loop.behaviours.pursuits import Pursuit, objects_found
+from edge.loop.behaviours.room_pursuits import ExploreRoomPursuit, SearchRoomPursuit
 from edge.loop.behaviours.room_targets import is_closed
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import MappedRoom
-from edge.mission.destinations import EveryRoomTarget
+from edge.memory import MappedRoom, parse_description
+from edge.mission.destinations import EveryObjectTarget, EveryRoomTarget
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
 from edge.text import one_line
@@ -102,3 +103,54 @@ class EveryRoomPursuit(ExploreRoomPursuit):
     def _holds(self, room: MappedRoom, points_m: Sequence[tuple[float, float]]) -> bool:
         """Return True if one of the points is in a room."""
         return bool(self._is_in(np.array(points_m, np.float32).reshape(-1, 2), room).any())
+
+
+class EveryObjectPursuit(Pursuit[EveryObjectTarget]):
+    """Pursuit of all objects of a name: go to each one, and explore until nothing is left.
+
+    It ends then: retries would visit what is out of reach, or rather another object, for minutes.
+    """
+
+    def check_progress(self, context: PolicyInput, images: int) -> None:
+        self._mission.activity = f"looking for {self._mission.target}"
+        if self._chooser.search.exhausted:
+            self.finish(context.now_ns)
+        else:
+            super().check_progress(context, images)
+
+    def finish(self, now_ns: int) -> None:
+        end_with_count(self._mission, self._map, now_ns)
+
+    def _mind_limits(self, now_ns: int) -> None:
+        """Do nothing: such a search has no limits."""
+
+
+class EveryObjectInRoomPursuit(SearchRoomPursuit):
+    """Pursuit of all objects of a name in one room: it ends as soon as the room is explored."""
+
+    def end(self, now_ns: int) -> None:
+        end_with_count(self._mission, self._map, now_ns)
+
+
+def end_with_count(mission: MissionRun, semantic_map: SemanticMap, now_ns: int) -> None:
+    """End the search for all objects of a name with their number and places."""
+    destination = mission.destinations[mission.target]
+    assert isinstance(destination, EveryObjectTarget)
+    described = parse_description(destination.name)
+    noun = destination.name if described is None else described.noun
+    tracker, rooms = semantic_map.tracker, semantic_map.rooms
+    known = tracker.of(destination.name, only_confirmed=True, doubted=False)
+    found = [one for one in known if one.state == "reached"]
+    missed = len(tracker.of(mission.target, only_confirmed=True, doubted=False))
+    near = len(known) - len(found) - missed
+    end = f"; did not get to {missed} more" if missed else ""
+    end += f"; {near} more may be parts of these" if near else ""
+    if not found:
+        text = f"explored all reachable space, found no {noun}{end}"
+        mission.abandon_target(one_line(text), now_ns)
+        return
+    at_m = [one.center_m[:2].tolist() for one in found]
+    places = [f"{rooms.room_phrase(x, y)} at ({x:.1f}, {y:.1f})".lstrip() for x, y in at_m]
+    names_of = noun if len(found) == 1 else names.plural(noun)
+    text = one_line(f"found {len(found)} {names_of}: {', '.join(places)}{end}", 400)
+    mission.on_reached(text, now_ns, text)

@@ -63,8 +63,22 @@ SEARCHES = """
 EVERY_ROOM = """
     {then} {goes} (visit|enter|tour|see|check [on|out|in]|{drive} {over} (in|to|into|through)|
             look (in|into|inside|at)|(have|take) a look (in|into|inside|at)|{look}) <each> [{turn}]
-            [, (except|except for|apart from|but|but not) <left_out>] [{turn}]
 """
+# "patrol the house except the bathroom", "visit all rooms, but not the kitchen"
+ALL_BUT = re.compile(
+    r"^(?P<lead>(?:.*(?:[.;,]| and| then))?)(?P<order> (?:go|drive|visit|enter|tour|see|check|look|"
+    r"explore|patrol|guard|scan|map|survey|search|inspect|scout)\b(?: (?!not|never|avoid|except)"
+    rf"[^ .;!?]+)*? (?:{EACH_ROOM}|everything|everywhere|(?:the|this|our|my|all)(?: whole| "
+    r"entire)? (?:house|home|flat|apartment|building|floor|place|ward|warehouse|rooms))\b"
+    r"[^.;!?,]*?),? "
+    r"(?:(?P<except>(?:except|excluding|other than|apart from)(?: for)?|but(?: not)?)|"
+    r"(?:but |and )?(?:avoid|(?:stay|keep) out of|(?:do not|never|without) (?:go(?:ing)?|"
+    r"driv(?:e|ing)|enter(?:ing)?)(?: (?:in|into|to|inside))?))"
+    rf" (?P<left_out>{NAME}(?:(?:,? (?:and|or) |, ){NAME})*)"
+    r"(?=[,.;!?]|$| (?:and|then|for|until|once|twice|\w+ times)\b)",
+    re.I,
+)
+"""An order to go everywhere but into some rooms."""
 # "and wait there for 10 seconds"
 IN_EACH = re.compile(
     r",?(?: and| then)+ (?:wait|stay|stop|look|check|search|find)\b[^.;!?]*"
@@ -287,6 +301,12 @@ FIRST_REWRITES = (
                 r"get there|(?:have )?f(?:ind|ound) (?:it|them|one))|it is done)|"
                 r" (?:where|(?:in )?(?:which|what) room) (?:it|they) (?:is|are|was|were)(?: in)?)?"
                 r"(?=[.!]*$)", re.I), ""),
+    # "count the chairs", "go and see how many chairs there are in the hall"
+    (re.compile(r"\bcount(?: up)?(?: all)?(?: of)? (?=(?:the|our|my|these|those) )", re.I),
+     "find all "),
+    (re.compile(r"(?<= )(?:count|(?:go (?:and )?)?(?:find out|see|check|work out|determine|count)) "
+                rf"how many (?P<object>{PLAIN_NAME})(?: (?:there are|are there|you (?:can )?(?:see|"
+                r"find))| are(?= (?:in|on|at|under|next|near)))", re.I), r"find all \g<object>"),
     # "a cup or one mug", "find me one mug"
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
@@ -344,16 +364,30 @@ NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
 BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 # The mark or word before a clause.
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
-# "find two chairs in the kitchen"
+EVERYTHING = phrase_of("everything")
+# "go to the kitchen, and then …"
+GONE_TO = re.compile(rf"\b(?:to|in|into) (?:the )?(?P<name>{PLAIN_NAME}),?(?: and)? ?$", re.I)
+# "find two chairs in the kitchen", "find all chairs"
 COUNTED = re.compile(
     r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then)) )(?:(?:go|drive|head|move|run|roll)(?: over)? to|"
     rf"{phrase_of('find')}|find|go find|visit|reach|see|go and see)"
     r"(?: all)?(?: the| my| our)?(?: any)? "
-    rf"(?P<count>{COUNT}|both)(?: of)?(?: the| my| these| those| our)?"
+    rf"(?P<count>{COUNT}|both|all|each|every(?: single)?)(?: of)?(?: the| my| these| those| our)?"
     rf"(?: (?:different|separate|distinct))? (?P<object>{PLAIN_NAME})"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME}))?"
     r"(?=[.;!?]|$|,(?! (?:and |or )?(?:the|an?|my|our|both|but not|not|\d|"
     r"two|three|four|five)\b)| (?:and|then)\b(?! (?:the|an?|my|our|both|two|three|four|five)\b))",
+    re.I,
+)
+_ANOTHER = r"(?:another|an other|(?:a|one) (?:different|second|further|new)|one more)"
+_WHERE = rf"(?: (?P<%s>{phrase_of('relation')}) (?P<%s>{NAME}))?"
+# "find a chair in the hall, then wait and find another one", also "…, then another"
+ANOTHER = re.compile(
+    rf"{_CLAUSE_START}(?P<first>{phrase_of('go to')}|go to|{phrase_of('find')}|find|visit) "
+    rf"(?:an?|the|any|some) (?P<object>{PLAIN_NAME}){_WHERE % ('relation', 'anchor')}"
+    rf"(?P<between>[^;!?]*?)(?P<joint>,| and| then|[.])+ "
+    rf"(?P<order>(?:(?:{phrase_of('go to')}|go to|to|{phrase_of('find')}|find|visit) )?){_ANOTHER}"
+    rf"(?: (?P<same>one|(?P=object)))?{_WHERE % ('later', 'at')}(?=[.,;!?]|$| (?:and|then)\b)",
     re.I,
 )
 GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)

@@ -18,6 +18,7 @@ from edge.mission.language import nouns
 from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.errand_patterns import CALLER, CHECK, MAX_COUNT, WAIT
 from edge.mission.language.everyday_words import (
+    ARTICLE,
     NOWHERE,
     bare,
     each_kind,
@@ -36,13 +37,14 @@ from edge.mission.language.object_names import (
     relation_text,
     with_article,
 )
-from edge.mission.language.places import HERE, START, is_marked, mark_places, restore_places
+from edge.mission.language.places import EVERY, HERE, START, is_marked, mark_places, restore_places
 from edge.mission.language.rewriting import Change, go_to, rewrite_outside_quotes
 from edge.mission.language.spans import number_of, seconds_of, shown_s
 from edge.mission.language.templates import compile_templates
 from edge.mission.language.tokens import unclear
 from edge.mission.language.tours import (
     refuse_other_tours,
+    rewrite_all_but,
     rewrite_errand_and_back,
     rewrite_every_room,
     rewrite_every_room_too,
@@ -94,6 +96,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], Change]]:
     quotes already. The templates are compiled at the first call, which takes 0.2 s.
     """
     rules: tuple[tuple[str | list[re.Pattern[str]], Change], ...] = (
+        ([patterns.ANOTHER], _rewrite_another),
         ([patterns.COUNTED], _rewrite_counted),
         ([patterns.HINTED], _rewrite_hinted),
         ([patterns.COLOURED], _rewrite_coloured),
@@ -102,6 +105,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], Change]]:
         ([patterns.NEAREST_TO_ROBOT], _rewrite_nearest),
         ([patterns.INTRODUCED], _rewrite_introduced),
         (patterns.SEARCHES, _rewrite_search),
+        ([patterns.ALL_BUT], rewrite_all_but),
         (patterns.PATROLS, rewrite_patrol),
         (patterns.EVERY_ROOM, rewrite_every_room),
         ([patterns.EVERY_ROOM_TOO], rewrite_every_room_too),
@@ -157,15 +161,54 @@ def _rewrite_room_first(found: re.Match[str]) -> str | None:
     return f" go to {with_article(found['name'])}" if is_room(name) else None
 
 
-def _rewrite_counted(found: re.Match[str]) -> str | None:
-    """Return "find two chairs" as `find "chair 1 of 2", then find "chair 2 of 2"`."""
-    *first, last = found["object"].lower().split()
-    count = 2 if found["count"].lower() == "both" else number_of(found["count"].lower()) or 0
-    where = relation_text(found["relation"], found["anchor"])
-    noun = " ".join((*first, names.singular(last)))
-    if where is None or not 2 <= count <= MAX_COUNT or names.singular(last) == last:
+def _rewrite_another(found: re.Match[str]) -> str | None:
+    """Return "find a chair, then another" as the order to find `chair 1 of 2`, then the other."""
+    noun, between = found["object"].lower(), found["between"]
+    wheres = (relation_text(*found.group("relation", "anchor")),
+              relation_text(*found.group("later", "at")))  # fmt: skip
+    is_other = found["same"] is None or found["same"].lower() == "one"
+    if is_other and re.search(rf"\b{ARTICLE}\b", between):
+        return None  # "find a chair, go to the desk, then find another one"
+    if patterns.BAN.search(between) or None in wheres or not _is_countable(noun):
         return None
-    if is_room(noun) or is_vague(found["object"]) or nouns.unknown_in(noun.split()) is not None:
+    one, two = (f'"{noun} {n} of 2{where}"' for n, where in enumerate(wheres, 1))
+    return f"{found['lead']}{found['first']} {one}{between}, then find {two}"
+
+
+def _is_countable(noun: str) -> bool:
+    """Return True if a name without an article means a known kind of object."""
+    is_known = nouns.unknown_in(noun.split()) is None
+    return is_known and not (is_room(noun) or is_vague(noun) or nouns.is_plural(noun.split()[-1]))
+
+
+def _rewrite_counted(found: re.Match[str]) -> str | None:
+    """Return "find two chairs" as `find "chair 1 of 2", then find "chair 2 of 2"`.
+
+    Return "find all chairs" as `find "every chair"`.
+    """
+    *first, last = found["object"].lower().split()
+    how_many = found["count"].lower()
+    count = 2 if how_many == "both" else number_of(how_many) or 0
+    relation, anchor = found.group("relation", "anchor")
+    if relation in ("on", "at") and is_room(bare(anchor)) and not is_marked(bare(anchor)):
+        relation = "in"  # "on the ward"
+    where = relation_text(relation, anchor)
+    if re.fullmatch(f" in(?: the)? {patterns.EVERYTHING}", where or ""):
+        where = ""  # "in the house"
+    noun = " ".join((*first, names.singular(last)))
+    if where is None or is_vague(found["object"]) or not _is_countable(noun):
+        return None
+    if how_many.startswith(("all", "each", EVERY)):
+        is_first = found["lead"][:1] in ".;!?"  # of a sentence
+        there = None if is_first else patterns.GONE_TO.search(found.string[: found.start()])
+        room = bare(there["name"]) if there is not None and not found["relation"] else ""
+        if is_marked(room):  # it may be the name of a room
+            raise unclear(found[0].strip(), "unclear where; say so, or use two sentences")
+        where = relation_text("in", room) if room and is_room(room) else where
+        if (names.singular(last) == last) == (how_many == "all") or noun in (*NOWHERE, "landmark"):
+            return None  # "all chair", "every floor"
+        return f'{found["lead"]}find "every {noun}{where}"'
+    if not 2 <= count <= MAX_COUNT or names.singular(last) == last:
         return None
     goals = (f'find "{noun} {n} of {count}{where}"' for n in range(1, count + 1))
     return found["lead"] + ", then ".join(goals)

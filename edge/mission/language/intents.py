@@ -23,7 +23,7 @@ from edge.mission.language.tidy import TidySpeech, strip_politeness, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
-Topic = Literal["where", "exists", "rooms", "places", "doing", "help", "seen", "self"]
+Topic = Literal["where", "exists", "count", "rooms", "places", "doing", "help", "seen", "self"]
 Learnt = Literal["place", "room", "forget", "keep_out", "stay_inside", "open"]
 
 
@@ -43,9 +43,9 @@ class MemoryQuestion:
     """A question that memory answers; the robot does not drive.
 
     Attributes:
-        topic: "where" and "exists" ask for objects of the name `about`; "rooms", "places" and
-            "seen" for all that are known; "self" for the robot's own place; "doing" for the state
-            of the mission; "help" for the possible instructions.
+        topic: "where", "exists" and "count" ask for objects of the name `about`; "rooms", "places"
+            and "seen" for all that are known; "self" for the robot's own place; "doing" for the
+            state of the mission; "help" for the possible instructions.
         about: a name without an article, which may be related to another one, as in "mug on the
             table". For "seen", what the objects are near. "" if the topic needs none.
         room: only objects in this room; "" for all.
@@ -136,7 +136,7 @@ _QUESTION_REWRITES = (
 )  # fmt: skip
 """Pattern of a question with the word order of a statement, and its replacement."""
 _GO_AND_LOOK = re.compile(
-    r"(?:go |drive |run )?(?:over |there )*(?:and )?(?:check|see|look|find out|have a look|"
+    r"(?:go |drive |run )?(?:over |there )*(?:and )?(?:check|see|look|count|find out|have a look|"
     r"take a look)(?: there| for me)*",
     re.I,
 )
@@ -195,8 +195,9 @@ def understand(utterance: str, sites: Collection[str] = ()) -> Intent:
     question, _, order = speech.text.partition("?")
     if _GO_AND_LOOK.fullmatch(strip_politeness(order.strip(" .!"))):
         asked = _classify(f"{question}?", sites)
-        if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
-            check = f"check if there is a {asked.object_phrase.removeprefix('the ')}"
+        orders = {"exists": "check if there is a", "count": "find all"}
+        if isinstance(asked, MemoryQuestion) and asked.topic in orders:
+            check = f"{orders[asked.topic]} {asked.object_phrase.removeprefix('the ')}"
             return MissionOrder(replace(speech, text=check))
     if (order_to_find := _as_search(speech.text, sites)) is not None:
         return MissionOrder(replace(speech, text=order_to_find))
@@ -223,7 +224,7 @@ def _as_search(text: str, sites: Collection[str]) -> str | None:
     asked = _classify(f"{question}?", sites)
     if found is None or not isinstance(asked, MemoryQuestion) or not asked.about:
         return None
-    if asked.topic not in ("where", "exists") or re.match("which|how", question, re.I):
+    if asked.topic not in ("where", "exists") or re.match("which", question, re.I):
         return None
     return f"go to {asked.object_phrase}{found['rest']}"
 

@@ -18,7 +18,7 @@ from edge.mission.language.everyday_words import (
     refuse_each,
 )
 from edge.mission.language.lexicon import TABLE
-from edge.mission.language.places import is_marked
+from edge.mission.language.places import EVERY, is_marked
 from edge.mission.language.spans import number_of
 from edge.mission.language.tokens import unclear
 from edge.mission.language.unsupported import BEYOND_NAMES
@@ -32,7 +32,8 @@ def refuse_unknown_names(text: str) -> None:
     for phrase in text.split('"')[1::2]:  # the texts in quotes
         if patterns.NO_OBJECT.match(phrase):
             continue
-        for name in patterns.BETWEEN_NAMES.split(phrase.removeprefix(f"{patterns.CHECK} ")):
+        described = re.sub(rf"^(?:{patterns.CHECK}|{EVERY}) ", "", phrase)
+        for name in patterns.BETWEEN_NAMES.split(described):
             if name.strip() and not is_name(name):
                 words = name.split()
                 odd = words[nouns.unknown_in(words) or 0]

@@ -16,13 +16,22 @@ _PERIOD = (
 )
 _LIMIT = rf",? for (?P<limit>{DURATION})"
 _ENDLESS = r",? (?:forever|until (?:told|(?:i|we) (?:tell you|say))(?: to stop| stop| so)?)"
-_BAN = r"(?P<ban>,? (?:(?:but|and) )?(?:avoid|stay|keep|never|do not|don't|without)\b[^.;]*)"
+_BAN = (
+    r"(?P<ban>,? (?:(?:but|and) )?(?:avoid|stay|keep|never|do not|don't|without|except|excluding|"
+    r"apart from|but not)\b[^.;]*)"
+)
 _THANKS = r"(?:,? (?:please|thanks|thank you))?[\s.!?]*"
 _FIRST = re.compile(rf"\s*{_PERIOD}(?:{_LIMIT})?,? (?P<order>\S.*)", re.I | re.S)
 _LAST = re.compile(
     rf"(?P<order>\S.*?),?\s+{_PERIOD}(?:{_LIMIT}|{_ENDLESS})?{_BAN}?{_THANKS}", re.I | re.S
 )
 _DENIED = re.compile(r"(?:do not|don't|never|stop)\b", re.I)
+# "go to the dock, then to the shelf, and do this [every hour]": all orders before it
+_AGAIN = re.compile(
+    r"(?<=\S)(?:[.;,]| and)+ (?:then )?(?:do|repeat)(?: (?:all (?:of )?)?(?:this|that|it|"
+    r"the same))?(?: again)?$",
+    re.I,
+)
 # The begin of a second order: "…, then go to the desk", "… and check the stove".
 _JOINT = re.compile(r"[.;]\s*(?=\S)|\b(?:then|after|before)\b|(?:,|\band\b)\s+(?P<next>\S+)", re.I)
 
@@ -42,7 +51,8 @@ def split_period(instruction: str) -> Period | None:
         instruction: an utterance that was tidied up; private characters stand for names.
 
     Raises:
-        UnclearError: it is unclear which of several orders, or how often, the period repeats.
+        UnclearError: it is unclear which of several orders, or how often, the period repeats. A
+            comma before it, or "do this", means all orders of the sentence.
 
     >>> split_period("patrol the house every half hour for 8 hours")
     Period(order='patrol the house', wait_s=1800.0, limit_s=28800.0)
@@ -59,7 +69,10 @@ def split_period(instruction: str) -> Period | None:
         raise unclear(said, "only an order to drive can be repeated after a time")
     if found.re is _FIRST and re.search(r"[.;]\s*\w", order):
         raise unclear(said, "unclear which orders it repeats; say them in one sentence")
-    if found.re is _LAST and _has_several_orders(order):
+    is_set_off = instruction[found.end("order") :].startswith(",") or _AGAIN.search(order)
+    order = _AGAIN.sub("", order)
+    has_several = re.search(r"[.;]\s*\w", order) if is_set_off else _has_several_orders(order)
+    if found.re is _LAST and has_several:
         raise unclear(said, f"unclear which orders it repeats; begin with it: '{said}, go …'")
     if split_period(order) is not None:
         raise unclear(said, "unclear how often; say one time between two rounds")

@@ -21,12 +21,24 @@ from edge.mission.language.spans import number_of, seconds_of, shown_s
 from edge.mission.language.templates import STOP
 from edge.mission.language.tokens import unclear
 
+_LEFT_OUT = " avoid"  # before rooms that a tour leaves out, at the start of the text
 _JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
+
+
+def rewrite_all_but(found: re.Match[str]) -> str | None:
+    """Return "explore the house except the bathroom" with the ban first."""
+    for name in map(bare, re.split(r",? (?:and|or) |, ", found["left_out"])):
+        known = is_marked(name) or kind_of_room(name) in RECOGNISED_KINDS
+        if not (known or re.fullmatch(r"room \w+", name)):
+            if found["except"] and is_room(name):
+                raise unclear(name, "no room has this name; give a room this name first")
+            return None
+    return f"{_LEFT_OUT} {found['left_out']}.{found['lead']}{found['order']}"
 
 
 def rewrite_every_room(found: re.Match[str]) -> str | None:
     """Return "visit all bedrooms" as `go to "every bedroom"`; None to explore all rooms."""
-    kind, left_out = each_kind(found["each"]), bare(found["left_out"] or "")
+    kind = each_kind(found["each"])
     explores = re.search(r"\b(?:explor|scan|map|survey)", found[0], re.I)
     is_ban = re.search(r"\b(?:not|never)$", found.string[: found.start()], re.I)
     if is_ban or (kind == "room" and explores):
@@ -35,15 +47,8 @@ def rewrite_every_room(found: re.Match[str]) -> str | None:
     if work := patterns.IN_EACH.match(rest + found.string[found.end() :]):
         hint = "the robot goes into each room and looks around; it can do no more there"
         raise unclear(work[0], hint)
-    known = is_marked(left_out) or kind_of_room(left_out) in RECOGNISED_KINDS
-    if known or re.fullmatch(r"room \w+", left_out):
-        rest = f", but do not go to {found['left_out']}"
-    elif left_out and is_room(left_out):
-        raise unclear(left_out, "no room has this name; give a room this name first")
-    elif not left_out:
-        rest = ""
     is_next = found.start() and re.match(r",| (?:and|then|so|but)\b", found[0], re.I)
-    return go_to(_tour_of(found), found if is_next else None) + rest
+    return go_to(_tour_of(found), found if is_next else None)
 
 
 def rewrite_every_room_too(found: re.Match[str]) -> str | None:
@@ -110,6 +115,7 @@ def rewrite_patrol(found: re.Match[str]) -> str | None:
     """
     slots = found.groupdict()
     before, after = found.string[: found.start()], found.string[found.end() :].strip(" .!?")
+    before = re.sub(rf"^{_LEFT_OUT} [^.]*\.$", "", before)
     if re.search(r"\b(?:not|never|stop)$", before, re.I):
         return None
     if slots.get("stops") is None:

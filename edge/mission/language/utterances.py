@@ -208,14 +208,18 @@ QUESTIONS = {
         {tell} (is|are|was|were) <object> [still|already|really] <relation> <anchor> [(in|
             inside) <within>] {last}
         {tell} (is|are) <object> [still|already|really|there|here|around]* {last}
-        how many <object> {you} {seen} {in} {last}
-        how many <object> are there {in} {last}
         you have not {seen} [any|my]* <object> {in} {last}
         any (sign|trace) of <object> {in} {last}
-        how many <object> (do|have) (we|you) (have|got|know) {in} {last}
         (does|do|has) <room> (have|got|contain) [any] <object> [(in|inside) it] {last}
-        how many <object> {you} count {in} {last}
-        how many <object> (are|is) {in} {last}
+    """,
+    "count": """
+        [{tell}] how many <object> {you} {seen} {in} {last}
+        [{tell}] how many <object> are there {in} {last}
+        [{tell}] how many <object> (do|have) (we|you) (have|got|know) {in} {last}
+        [{tell}] how many <object> {you} count {in} {last}
+        [{tell}] how many <object> (are|is) {in} {last}
+        [{tell}] how many <object> there are {in} {last}
+        how many <object>
     """,
 }
 """Topic of `MemoryQuestion` → its templates."""

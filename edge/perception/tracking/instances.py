@@ -229,16 +229,16 @@ class InstanceTracker:
         """Forget every instance; ids continue, so that later instances have higher ids."""
         self.tracks.clear()
 
-    def forget_verdicts(self) -> None:
-        """Reset the verdicts of the last mission.
+    def forget_verdicts(self, rejected: bool = True) -> None:
+        """Reset the verdicts of the last mission, or of the last round of a mission.
 
         A reached instance becomes a confirmed one; a rejected one is forgotten and may be found
-        again.
+        again, unless `rejected` is False.
         """
         for track in list(self.tracks.values()):
             if track.instance.state == "reached":
                 track.instance.state = "confirmed"
-            elif track.instance.state == "rejected":
+            elif rejected and track.instance.state == "rejected":
                 del self.tracks[track.instance.id]
 
     def forget_rejected(self, label: str) -> None:
