@@ -33,12 +33,12 @@ from edge.host.periodic import run_periodically
 from edge.host.ports import free_port
 from edge.host.stop_latch import RETRY_S, StopLatch
 from edge.live.agent_view import AgentView
-from edge.loop import requests
-from edge.loop.agent_requests import agent_handlers
-from edge.loop.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.requests.agent_requests import agent_handlers
+from edge.loop.requests.handlers import mission_verbs, request_handlers
 from edge.loop.result import Sink
 from edge.loop.runner import RunningService
-from edge.loop.scorers import make_scorers
+from edge.loop.scoring.scorers import make_scorers
 from edge.loop.service import Service
 from edge.loop.source import Source
 from edge.loop.warmup import warm_up
@@ -205,9 +205,9 @@ def open_service(
         def prepare(**request: Any) -> MissionSpec:
             return prepare_mission(config, site=site.known, **request)
 
-        handlers = requests.request_handlers(service, prepare, problems)
+        handlers = request_handlers(service, prepare, problems)
         if config.mcp is not None:
-            prepare_new = requests.mission_verbs(prepare)["new"].prepare
+            prepare_new = mission_verbs(prepare)["new"].prepare
             handlers |= agent_handlers(service, config.mcp, prepare_new, view.picture)
         for key, (verbs, handle) in handlers.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)

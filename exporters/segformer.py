@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from edge.host.files import replace_atomically
 from edge.perception.masks.ground import pixels_of
 from edge.perception.runtime.card_types import GroundCard
-from edge.tasks.phrases import GROUNDS
+from edge.tasks.sentences.phrases import GROUNDS
 from exporters import hugging_face
 from exporters.clip import image_preprocess
 from exporters.files import ExportError, write_card

@@ -14,7 +14,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.live.pictures import JPEG_QUALITY, grid_json, shot_json
 from edge.live.sink import PERIOD_S, CameraShot, LiveSink
 from edge.live.view import LiveView
-from edge.loop.service_health import ServiceHealth
+from edge.loop.monitoring.service_health import ServiceHealth
 
 STEPS = 60
 

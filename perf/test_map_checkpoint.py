@@ -11,9 +11,9 @@ from edge.config import parse
 from edge.geometry import SE2
 from edge.host.checkpoint import Checkpoint
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.goal_choice import GoalChooser
-from edge.loop.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
+from edge.loop.goals.goal_choice import GoalChooser
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping import grid as mapping
 from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileCopier

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from edge.config import parse
 from edge.host.service_manager import SystemdNotifier
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.metrics import Metrics
+from edge.loop.monitoring.metrics import Metrics
+from edge.loop.monitoring.service_health import ServiceHealth
 from edge.loop.runner import RunningService
-from edge.loop.service_health import ServiceHealth
 
 
 def test_metrics_scrape(benchmark):

@@ -21,7 +21,7 @@ from edge.host.stop_latch import StopLatch
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.live.agent_view import AgentView
 from edge.live.sink import LiveSink
-from edge.loop.agent_requests import agent_handlers
+from edge.loop.requests.agent_requests import agent_handlers
 from edge.loop.result import TickResult
 from edge.sinks.rerun import RerunSink
 from edge.sinks.ros2 import Ros2Sink

@@ -10,7 +10,7 @@ import pytest
 
 from edge.config import parse
 from edge.geometry import SE2, CameraModel
-from edge.loop.plausibility import Plausibility
+from edge.loop.checks.plausibility import Plausibility
 from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(640, 480, math.radians(75))

@@ -10,8 +10,8 @@ from test_mapping import CAMERA, MAPPING, T_BASE_CAMERA, explored_map
 
 from edge import config
 from edge.geometry import SE2
-from edge.loop.candidates import CandidatePool
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.candidates import CandidatePool
+from edge.loop.goals.goal import GoalTracker
 from edge.mapping.results import Frontiers
 from edge.mapping.view import MapView
 from edge.mapping.warmup import warm_values, warmup

@@ -9,7 +9,7 @@ import pytest
 from test_mapping import explored_map
 
 from edge.config import DetectorSim
-from edge.loop.prior import LocationPrior
+from edge.loop.scoring.prior import LocationPrior
 from edge.mapping.points import TALL
 from edge.mapping.regions import survey_regions
 from edge.mapping.view import MapView

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge.geometry import CameraModel
-from edge.tasks.projection import GAP_M, GAP_SHARE, MARGIN_SHARE, in_picture, points_of_masks
+from edge.tasks.scene.projection import GAP_M, GAP_SHARE, MARGIN_SHARE, in_picture, points_of_masks
 from edge.types import MASK_SIDE
 
 CAMERA = CameraModel(1226, 370, 707.0, 707.0, 601.9, 183.1)

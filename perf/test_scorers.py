@@ -12,8 +12,8 @@ from edge import config
 from edge.config import parse
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.candidates import CandidatePool
-from edge.loop.scorers import Scorers
+from edge.loop.goals.candidates import CandidatePool
+from edge.loop.scoring.scorers import Scorers
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
 from edge.perception.detection.onnx import OnnxDetector

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from edge.config import parse
 from edge.geometry import SE2, Grid
 from edge.lab.motion.controller import Controller
-from edge.tasks.value_map import PathMargins, value_map
+from edge.tasks.scene.value_map import PathMargins, value_map
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import from_occupancy, from_weights
 

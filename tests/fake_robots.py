@@ -18,9 +18,9 @@ from edge.bus.session import zenoh_session
 from edge.config import MissionConfig, ZenohConfig
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.loop import requests
 from edge.loop.input_log import InputLog
 from edge.loop.mission_control import MissionControl
+from edge.loop.requests.handlers import request_handlers
 from edge.memory import Site
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, prepare
@@ -34,7 +34,7 @@ def settings_of(port: int, name: str, **more: object) -> ZenohConfig:
 
 
 class FakeService:
-    """Stand-in for the parts of a service that `edge.loop.requests.handle_mission` uses."""
+    """Stand-in for the parts of a service that `handle_mission` uses."""
 
     def __init__(self, known: Mapping[str, float], blind_to: frozenset[str]) -> None:
         self.blind_to = blind_to
@@ -101,9 +101,7 @@ class FakeRobot:
         session = self._open.enter_context(zenoh_session(settings, "listen"))
         self.presence = Presence(session, settings)
         self._open.callback(self.presence.close)
-        served = requests.request_handlers(
-            self.service, partial(prepare, LIMITS), lambda: self.problems
-        )
+        served = request_handlers(self.service, partial(prepare, LIMITS), lambda: self.problems)
         verbs, handle = served["mission/request"]
         key = settings.key("mission/request")
         self._server = RequestServer(session, key, verbs, handle)

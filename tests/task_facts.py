@@ -11,7 +11,7 @@ from task_scenes import STREET, street
 from edge.config import TasksConfig
 from edge.tasks.facts import StepState, StepStatus, TaskStatus
 from edge.tasks.refine import RefinedTrajectory, refine
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.value_map import PathMargins
 from edge.tasks.write import PlanAttempt, WrittenTrajectory, write_trajectory
 from edge.trajectory.pursuit import MotionLimits
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.geometry import SE2, CameraModel, Grid, se3, to_optical
-from edge.tasks.scene import Region, Scene, SceneObject
+from edge.tasks.scene.scene import Region, Scene, SceneObject
 
 SIDE_M, RESOLUTION_M = 40.0, 0.2
 ROAD, LAWN = 1, 2

@@ -50,7 +50,7 @@ SAID = (
 def test_quoted_text_forges_no_line_and_no_escape_code(as_json):
     out = io.StringIO()
     logs.setup("info", as_json, stream=out)
-    logging.getLogger("edge.loop.goal").warning("%s", SAID)
+    logging.getLogger("edge.loop.goals.goal").warning("%s", SAID)
     line = out.getvalue().removesuffix("\n")
     assert line.isprintable()
     if as_json:

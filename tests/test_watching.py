@@ -22,7 +22,7 @@ from simulated import simulated
 from edge.cli.commands import run_service
 from edge.host.ports import free_port
 from edge.host.resources import data_dir
-from edge.loop.metrics import BOARD_METRICS, HEALTH_METRICS, SERVICE_METRICS
+from edge.loop.monitoring.metrics import BOARD_METRICS, HEALTH_METRICS, SERVICE_METRICS
 from edge.loop.warmup import warm_up
 
 promql = pytest.importorskip("promql_parser", reason="no wheel of promql-parser for this machine")

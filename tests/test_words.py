@@ -29,7 +29,7 @@ NATURAL = (
     "edge/lab/sim/generator/",
     "edge/lab/eval/",
     "edge/names.py",
-    "edge/tasks/phrases.py",
+    "edge/tasks/sentences/phrases.py",
 )
 """Files whose strings are sentences of people, or names that a seed depends on."""
 

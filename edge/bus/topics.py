@@ -66,7 +66,7 @@ CMD_VEL = Topic("cmd_vel", "geometry_msgs/TwistStamped", "drop", 20, "controller
 GOAL_STATUS = Topic("goal_status", "json", "urgent", 0, "controller")
 
 # Not topics but queryables: requests about the mission, the models, and places and zones, JSON both
-# ways (see `edge.loop.requests`, `edge.loop.site_requests`).
+# ways (see `edge.loop.requests.handlers`, `edge.loop.requests.site_requests`).
 MISSION_REQUEST = "mission/request"
 MODELS_REQUEST = "models/request"
 SITE_REQUEST = "site/request"
@@ -75,7 +75,7 @@ MEMORY_REQUEST = "memory/request"
 # everybody stop and few release.
 STOP_REQUEST = "stop/request"
 RELEASE_REQUEST = "release/request"
-# Requests of agents, and of the people who confirm them (see `edge.loop.agent_requests`).
+# Requests of agents, and of the people who confirm them (see `edge.loop.requests.agent_requests`).
 AGENT_REQUEST = "agent/request"
 CONFIRM_REQUEST = "confirm/request"
 REQUESTS = (

@@ -25,10 +25,10 @@ from edge.host.web_server import GetRoutes, PostRoutes, serve
 from edge.launch import child_processes, open_service, with_free_port
 from edge.live.view import PUBLIC, LiveView
 from edge.loop.latency import LatencyReport
-from edge.loop.metrics import Metrics
+from edge.loop.monitoring.metrics import Metrics
+from edge.loop.monitoring.service_health import PROBES, ServiceHealth
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
-from edge.loop.service_health import PROBES, ServiceHealth
 from edge.recording.trace import TracePage
 from edge.sources.played import Playback
 from edge.text import one_line

@@ -24,7 +24,7 @@ from edge.config import Config, DetectorOnnx, load
 from edge.errors import PERMANENT, UnavailableError, UserError
 from edge.host import resources
 from edge.host.files import save
-from edge.loop.service_health import HANGS_S
+from edge.loop.monitoring.service_health import HANGS_S
 
 UNITS = Path("/etc/systemd/system")  # has the units of the administrator
 STATE = Path("/var/lib")  # has the working folder of the service

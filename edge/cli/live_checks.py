@@ -12,7 +12,7 @@ from edge.bus.session import BusError, ConnectInterrupted, zenoh_session
 from edge.cli.findings import Finding, Level, fail, ok, ok_or_warn, warn
 from edge.config import Config
 from edge.geometry import FARTHEST_M
-from edge.loop.plausibility import FailedCheck, Plausibility
+from edge.loop.checks.plausibility import FailedCheck, Plausibility
 from edge.loop.source import InputStatus, Source, missing_inputs
 from edge.sources import find_source
 from edge.types import CAMERAS, Observation

@@ -173,7 +173,7 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
 
 def check_scorers(config: Config) -> Iterator[Finding]:
     """Check that the configured scorers can be made, and that their server listens."""
-    from edge.loop.scorers import make_scorers
+    from edge.loop.scoring.scorers import make_scorers
 
     uses_onnx = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
     if uses_onnx and _sessions_crash():

@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.json:
         print(json.dumps(answer["site"], indent=1))
     elif args.do == "list":
-        from edge.loop.site_requests import describe_item
+        from edge.loop.requests.site_requests import describe_item
 
         print("\n".join(map(describe_item, site.items)) or "none")
     else:

@@ -56,7 +56,7 @@ class WriterModel(Section):
 
 
 class PipelinePlugin(Section):
-    """Your own function or class that returns an `edge.tasks.pipeline.PerceptionPipeline`.
+    """Your own function or class that returns an `edge.tasks.scene.pipeline.PerceptionPipeline`.
 
     It gets the options. If it has parameters of these names, it also gets `perception` (that
     section) and `words` (names of the objects to find).

@@ -24,7 +24,7 @@ from edge.fleet.orders import (
     has_part,
 )
 from edge.fleet.roster import OVER, Robot, Roster
-from edge.mission.language.english import describe
+from edge.mission.language.grammar.english import describe
 from edge.mission.logic.ltl import Formula
 from edge.mission.spec import MissionSpec
 from edge.mission.split import required_propositions, split

@@ -2,5 +2,5 @@
 
 A sink keeps the data while a person views the page; they are encoded on request. The page in
 `page/` is plain HTML, CSS and JavaScript. HTTP is in `edge.host.web_server`, the requests' actions
-are in `edge.loop.requests`.
+are in `edge.loop.requests.handlers`.
 """

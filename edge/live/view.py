@@ -29,7 +29,7 @@ from edge.live.page_json import (
 )
 from edge.live.pictures import grid_json, shot_json
 from edge.live.sink import LiveSink, LiveSnapshot
-from edge.loop.service_health import ServiceHealth
+from edge.loop.monitoring.service_health import ServiceHealth
 from edge.types import CAMERAS
 
 ANSWER_S = 120.0
@@ -87,7 +87,7 @@ class LiveView:
         }
 
     def forms(self) -> PostRoutes:
-        """Return the handlers of requests, the same as on the bus: see `edge.loop.requests`."""
+        """Return the handlers of requests, as on the bus (`edge.loop.requests.handlers`)."""
         return {f"/{key}": partial(self._request, key) for key in topics.REQUESTS}
 
     # -- data ----------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ TASK = "task"
 FRAME_DECISION = "elsewhere"
 """Recorded decision: why `map` is not the frame of the checkpoint, "" if it is the same."""
 USE = "use"
-"""Recorded decision: the permitted use of an observation (`edge.loop.plausibility.Use`)."""
+"""Recorded decision: the permitted use of an observation (`edge.loop.checks.plausibility.Use`)."""
 SIGHTED = "sighted"
 """Recorded decision: the loop time until which a refused observation still shows the
 surroundings."""

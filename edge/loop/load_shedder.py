@@ -16,7 +16,7 @@ from edge.config import PerceptionConfig
 from edge.host.board import BoardReading, read_board, throttling_reason
 from edge.host.worker import Worker
 from edge.loop.degradation import DegradationLevels, LevelChange, LoadSample
-from edge.loop.scorers import Scorers
+from edge.loop.scoring.scorers import Scorers
 from edge.loop.status import detector_health
 from edge.perception.runtime.cards import ModelError, install_hint, load_detector_card
 from edge.perception.swap.base import FINAL_STATES, SwapError

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from edge.config import MissionConfig
 from edge.errors import UserError
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.goal import GoalTracker
 from edge.loop.input_log import InputLog
 from edge.mission.destinations import WaitTarget
 from edge.mission.run import MissionRun

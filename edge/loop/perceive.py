@@ -10,7 +10,7 @@ import numpy as np
 from edge.config import Config
 from edge.loop.input_log import DETECTOR, InputLog
 from edge.loop.latency import LatencyRing
-from edge.loop.scorers import Scorers
+from edge.loop.scoring.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.loop.stages import DETECT
 from edge.mapping.results import MapUpdate

@@ -11,11 +11,11 @@ import numpy as np
 
 from edge.geometry import SE2
 from edge.loop.error_boundary import ErrorBoundary
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.goal import GoalTracker
 from edge.loop.input_log import InputLog
 from edge.loop.latency import LatencyRing
 from edge.loop.result import MAX_OBJECTS, Event, Sink, TickResult, mission_facts, scored_candidates
-from edge.loop.scorers import Scorers
+from edge.loop.scoring.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import RollingMap
 from edge.memory import KnownObject, SiteFile, known_objects
@@ -57,7 +57,7 @@ class ResultPublisher:
         events: Events since the last result; bounded.
         detections: New detections. Their frame is held until the result is published.
         proposals: Returns the proposals of agents that wait for a person, at a loop time; set by
-            `edge.loop.agent_requests`.
+            `edge.loop.requests.agent_requests`.
     """
 
     def __init__(

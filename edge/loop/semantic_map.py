@@ -14,10 +14,10 @@ import numpy as np
 from edge.config import Config
 from edge.geometry import SE2, Grid, optical_yaw_rad
 from edge.host.checkpoint import Arrays
-from edge.loop.candidates import CandidatePool
-from edge.loop.prior import make_prior
+from edge.loop.goals.candidates import CandidatePool
 from edge.loop.result import VALUE_LAYER
-from edge.loop.room_surveyor import RoomSurveyor
+from edge.loop.scoring.prior import make_prior
+from edge.loop.scoring.room_surveyor import RoomSurveyor
 from edge.mapping.clusters import MAX_FRONTIERS
 from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
@@ -212,7 +212,7 @@ class SemanticMap:
         """Restore a `state_dict` in the same frame.
 
         Args:
-            grid: The restored grid; see `edge.loop.map_checkpoint.make_map`.
+            grid: The restored grid; see `edge.loop.checkpoints.map_checkpoint.make_map`.
             part: Returns the arrays of a part, by its name in `state_dict`.
             clock_shift_ns: Added to saved times of the loop's clock.
             stamp_shift_ns: Added to saved stamps of the sensors' clock.

@@ -17,19 +17,20 @@ from edge.host.calibration import SpeedCalibration
 from edge.loop.behaviours.base import Behaviour
 from edge.loop.behaviours.follow import FollowBehaviour
 from edge.loop.behaviours.search import SearchBehaviour
-from edge.loop.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.map_checkpoint import MapParts, StampedPose, restore
+from edge.loop.checks.plausibility import Plausibility
 from edge.loop.error_boundary import ErrorBoundary
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.goal import GoalTracker
+from edge.loop.goals.zone_exit import ZoneExit
 from edge.loop.input_log import FRAME_DECISION, SIGHTED, USE, InputLog
 from edge.loop.latency import LatencyRing
 from edge.loop.load_shedder import LoadShedder
-from edge.loop.map_checkpoint import MapParts, StampedPose, restore
 from edge.loop.mission_control import MissionControl
 from edge.loop.perceive import PerceptionStages
-from edge.loop.plausibility import Plausibility
 from edge.loop.publish import ResultPublisher
 from edge.loop.result import Event, Sink, TickResult
-from edge.loop.scorers import Scorers
+from edge.loop.scoring.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.loop.source import InputStatus
 from edge.loop.stages import (
@@ -45,7 +46,6 @@ from edge.loop.stages import (
     STAGES,
 )
 from edge.loop.status import HealthWatch, Part
-from edge.loop.zone_exit import ZoneExit
 from edge.memory import START, Place, Site, SiteFile
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, task_state

@@ -42,14 +42,14 @@ class Stage:
 
 STAGES: tuple[Stage, ...] = (
     Stage("ingest", 1.0, "edge/sources"),
-    Stage("check", 0.2, "edge/loop/plausibility.py"),
+    Stage("check", 0.2, "edge/loop/checks/plausibility.py"),
     Stage("detect", 33.0, "edge/perception", in_tick=False, deadline=True),
     Stage("map", 1.5, "edge/mapping"),
     Stage("lift", 0.5, "edge/perception/tracking/lift.py"),
-    Stage("candidates", 0.4, "edge/loop/candidates.py"),
+    Stage("candidates", 0.4, "edge/loop/goals/candidates.py"),
     Stage("score", 0.3, "edge/policies"),
     Stage("plan", 0.1, "edge/mission/run.py"),
-    Stage("select", 0.3, "edge/loop/goal.py"),
+    Stage("select", 0.3, "edge/loop/goals/goal.py"),
     Stage("publish", 0.3, "edge/loop/publish.py"),
 )
 INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(len(STAGES))

@@ -11,7 +11,7 @@ import numpy as np
 from edge.loop.error_boundary import DEGRADED_AFTER, ErrorBoundary
 from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
-from edge.loop.scorers import Scorers
+from edge.loop.scoring.scorers import Scorers
 from edge.loop.source import InputStatus, inputs_status
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker

@@ -18,8 +18,8 @@ from edge.bus.wire.kernels import warmup as warm_messages
 from edge.config import Config, PolicyPlugin
 from edge.geometry import SE2, CameraModel
 from edge.host.children import python_module
-from edge.loop.candidates import CandidatePool
-from edge.loop.room_surveyor import warm_up as warm_rooms
+from edge.loop.goals.candidates import CandidatePool
+from edge.loop.scoring.room_surveyor import warm_up as warm_rooms
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.mapping.warmup import warm_values

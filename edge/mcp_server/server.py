@@ -1,7 +1,7 @@
 """Tools and resources for agents. Every call is a request to the running service.
 
-Nothing here decides if the robot may move: the service does (`edge.loop.agent_requests`), by
-`mcp.motion` of its own configuration.
+Nothing here decides if the robot may move: the service does, by `mcp.motion` of its own
+configuration (`edge.loop.requests.agent_requests`).
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ from edge import names, number_words
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room, parse_description
-from edge.mission.language.everyday_words import is_room
-from edge.mission.language.places import EVERY, EXPLORED, HERE, NO, START
-from edge.mission.language.spans import shown_s
+from edge.mission.language.words.everyday_words import is_room
+from edge.mission.language.words.places import EVERY, EXPLORED, HERE, NO, START
+from edge.mission.language.words.spans import shown_s
 from edge.text import one_line
 
 CALLER = "caller"

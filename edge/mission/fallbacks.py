@@ -13,13 +13,13 @@ from typing import Union
 
 from edge import names
 from edge.memory import parse_description
-from edge.mission.language.areas import areas_of, searched_object
-from edge.mission.language.errand_patterns import CHECK, WAIT
-from edge.mission.language.everyday_words import NAME, bare, is_room
-from edge.mission.language.nouns import is_plural
-from edge.mission.language.outcomes import Branches, OutcomeCondition
-from edge.mission.language.places import EXPLORED, NO
-from edge.mission.language.tokens import UnclearError, unclear
+from edge.mission.language.errands.areas import areas_of, searched_object
+from edge.mission.language.errands.errand_patterns import CHECK, WAIT
+from edge.mission.language.errands.outcomes import Branches, OutcomeCondition
+from edge.mission.language.words.everyday_words import NAME, bare, is_room
+from edge.mission.language.words.nouns import is_plural
+from edge.mission.language.words.places import EXPLORED, NO
+from edge.mission.language.words.tokens import UnclearError, unclear
 from edge.mission.logic import goal_sequence
 from edge.mission.logic.goal_sequence import last_goals, reach, replace_last, then
 from edge.mission.logic.ltl import Formula, ap, conj, disj, eventually, propositions

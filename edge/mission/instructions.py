@@ -22,12 +22,13 @@ from edge.mission.destinations import (
     failure_of,
 )
 from edge.mission.fallbacks import FallbackTranslator
-from edge.mission.language.english import describe
-from edge.mission.language.errand_patterns import CHECK, WAIT
-from edge.mission.language.errands import spell_out
-from edge.mission.language.everyday_words import is_room
-from edge.mission.language.grammar import readings
-from edge.mission.language.impossible import asks_for_work
+from edge.mission.language.errands.errand_patterns import CHECK, WAIT
+from edge.mission.language.errands.impossible import asks_for_work
+from edge.mission.language.errands.outcomes import Branches, split_outcomes
+from edge.mission.language.errands.periods import Period, split_period
+from edge.mission.language.errands.spell_out import spell_out
+from edge.mission.language.grammar.english import describe
+from edge.mission.language.grammar.instruction import readings
 from edge.mission.language.intents import (
     Control,
     MemoryQuestion,
@@ -35,10 +36,10 @@ from edge.mission.language.intents import (
     NoMissionError,
     understand,
 )
-from edge.mission.language.nouns import split_entries
-from edge.mission.language.outcomes import Branches, split_outcomes
-from edge.mission.language.periods import Period, split_period
-from edge.mission.language.places import (
+from edge.mission.language.tidy import TidySpeech, tidy_up
+from edge.mission.language.words.everyday_words import is_room
+from edge.mission.language.words.nouns import split_entries
+from edge.mission.language.words.places import (
     EVERY,
     EXPLORED,
     NO,
@@ -46,9 +47,8 @@ from edge.mission.language.places import (
     quote_places,
     restore_places,
 )
-from edge.mission.language.spans import shown_s
-from edge.mission.language.tidy import TidySpeech, tidy_up
-from edge.mission.language.tokens import UnclearError, unclear
+from edge.mission.language.words.spans import shown_s
+from edge.mission.language.words.tokens import UnclearError, unclear
 from edge.mission.logic import ltl
 from edge.mission.logic.goal_sequence import NotASequenceError, split_bans, then
 from edge.mission.logic.ltl import Formula

@@ -1,7 +1,8 @@
 """Description of a mission as orders, such as "Go to the kitchen, then wait.".
 
-The person who gave the instruction sees it. `edge.mission.language.english` describes any formula
-by what is reached; this module describes the common forms as a person would say them.
+The person who gave the instruction sees it. `edge.mission.language.grammar.english`
+describes any formula by what is reached; this module describes the common forms as a person would
+say them.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from edge.mission.destinations import (
     WaitTarget,
     describe_destination,
 )
-from edge.mission.language.english import Chain, alternatives_of, is_too_long, options_of
-from edge.mission.language.everyday_words import is_room
-from edge.mission.language.places import HERE, START
-from edge.mission.language.spans import shown_s
+from edge.mission.language.grammar.english import Chain, alternatives_of, is_too_long, options_of
+from edge.mission.language.words.everyday_words import is_room
+from edge.mission.language.words.places import HERE, START
+from edge.mission.language.words.spans import shown_s
 from edge.mission.logic.ltl import Formula, conj
 
 # A name that ends in a number or a letter: "room 12".

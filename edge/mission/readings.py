@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edge.mission.language.english import describe
-from edge.mission.language.tokens import TranslationError, UnclearError
+from edge.mission.language.grammar.english import describe
+from edge.mission.language.words.tokens import TranslationError, UnclearError
 from edge.mission.logic.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.logic.diagnosis import diagnose
 from edge.mission.logic.ltl import Formula, postorder

@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field
 from edge import number_words
 from edge.errors import UserError
 from edge.mission.destinations import DURATION, Seconds, duration_s
-from edge.mission.language.spans import shown_s
+from edge.mission.language.words.spans import shown_s
 from edge.mission.logic import ltl
 from edge.mission.logic.ltl import Formula
 from edge.text import bounded_repr

@@ -28,8 +28,8 @@ from edge.mission.instructions import (
     with_destinations,
     with_failures,
 )
-from edge.mission.language.english import describe
-from edge.mission.language.tokens import unclear
+from edge.mission.language.grammar.english import describe
+from edge.mission.language.words.tokens import unclear
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose

@@ -13,11 +13,11 @@ from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
 from edge.errors import UnavailableError
 from edge.mission.destinations import Destination
-from edge.mission.language import grammar
-from edge.mission.language.bans import bans_in, does_imply
-from edge.mission.language.english import describe
-from edge.mission.language.tokens import TokenReader, TranslationError, UnclearError
-from edge.mission.language.unsupported import refuse_unsupported
+from edge.mission.language.grammar.bans import bans_in, does_imply
+from edge.mission.language.grammar.english import describe
+from edge.mission.language.grammar.instruction import readings
+from edge.mission.language.grammar.unsupported import refuse_unsupported
+from edge.mission.language.words.tokens import TokenReader, TranslationError, UnclearError
 from edge.mission.logic import ltl
 from edge.mission.logic.ltl import Formula
 from edge.mission.readings import (
@@ -32,7 +32,7 @@ from edge.mission.repetition import Repetition
 from edge.text import one_line
 
 if TYPE_CHECKING:
-    from edge.mission.language.model import NeuralTranslator
+    from edge.mission.language.networks.model import NeuralTranslator
 
 log = logging.getLogger(__name__)
 
@@ -210,13 +210,15 @@ def make_translator(config: TranslatorConfig) -> Translator:
 
 
 def _read_by_grammar(instruction: str) -> ParsedInstruction:
-    formulas = grammar.readings(instruction)
+    formulas = readings(instruction)
     refuse_contradiction(formulas)
     return ParsedInstruction(formulas, "grammar")
 
 
 def _llm_backend(config: TranslatorLlm, must_live: bool = False) -> Backend:
-    from edge.mission.language.llm import LlmTranslator  # needs the chat client; the others do not
+    from edge.mission.language.networks.llm import (
+        LlmTranslator,  # needs the chat client; the others do not
+    )
 
     model = LlmTranslator(config, must_live)
     return lambda text: with_bans(text, ParsedInstruction((model.read(text),), "llm"))
@@ -224,10 +226,10 @@ def _llm_backend(config: TranslatorLlm, must_live: bool = False) -> Backend:
 
 @lru_cache(maxsize=1)
 def _load_small_model(card: str) -> NeuralTranslator:
-    from edge.mission.language.model import (
+    from edge.mission.language.networks.model import (
         NeuralTranslator,  # needs onnxruntime; the grammar does not
     )
-    from edge.mission.language.network import TranslationNetwork
+    from edge.mission.language.networks.network import TranslationNetwork
 
     return NeuralTranslator(TranslationNetwork(card))
 

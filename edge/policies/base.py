@@ -41,7 +41,7 @@ class Candidates:
         confirmed: (capacity,) bool, True for instances that the detector has confirmed.
         blocked: (capacity,) bool, True while a candidate is discarded.
         path_m: (capacity,) float32, driving distance from the robot, inf if unreachable. For a
-            spin, its turn as metres (`edge.loop.candidates.TURN_M_PER_RAD`).
+            spin, its turn as metres (`edge.loop.goals.candidates.TURN_M_PER_RAD`).
         gain_m2: (capacity,) float32, unknown area that a frontier or a spin is expected to show
             (`edge.mapping.gain`); 0 for instances. A frontier's value may be some ticks old.
     """

@@ -23,8 +23,8 @@ from edge.config import Config
 from edge.config.root import parse
 from edge.geometry import SE2, CameraModel, Grid
 from edge.host.checkpoint import Checkpoint
+from edge.loop.checkpoints.map_checkpoint import MAP
 from edge.loop.input_log import LoopInput
-from edge.loop.map_checkpoint import MAP
 from edge.loop.result import TickResult
 from edge.mapping.regions import RegionMap
 from edge.memory import LostRoom, RoomSurvey, outline_rooms, site_of

@@ -21,13 +21,13 @@ from typing import Any
 
 from edge.config import ChoiceCooccurrence, Config, DetectorOnnx
 from edge.errors import UserError
-from edge.loop.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.map_checkpoint import SUFFIX
 from edge.loop.error_boundary import TICK
 from edge.loop.input_log import TASK, LoopInput
 from edge.loop.latency import LatencyReport
-from edge.loop.map_checkpoint import SUFFIX
 from edge.loop.result import TickResult
-from edge.loop.scorers import Scorers, make_scorers
+from edge.loop.scoring.scorers import Scorers, make_scorers
 from edge.loop.service import Service
 from edge.loop.stages import INGEST, STAGES
 from edge.memory import Site, SiteFile

@@ -12,8 +12,8 @@ import numpy as np
 from edge.bus.wire.transforms import encode_path
 from edge.geometry import SE2
 from edge.mapping.view import MapView
-from edge.tasks.ground import ESCAPE_M
 from edge.tasks.refine import RefinedTrajectory
+from edge.tasks.scene.ground import ESCAPE_M
 from edge.trajectory.pursuit import index_ahead, nearest_index
 
 SEARCH_M = 3.0

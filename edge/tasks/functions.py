@@ -19,9 +19,9 @@ from edge import names
 from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.geometry import wrap_angle
-from edge.tasks.ground import ReachableGround
 from edge.tasks.legs import simplified
-from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.scene.ground import ReachableGround
+from edge.tasks.scene.scene import Scene, SceneObject
 from edge.tasks.trajectory import (
     CoarseTrajectory,
     TrajectoryError,
@@ -67,7 +67,7 @@ class ScriptFunctions:
     Attributes:
         keep_to: ids of regions that `a_star_plan` prefers if a call names none; empty: any.
         detect: returns the scene with the objects of a name that the frame at hand shows
-            (`edge.tasks.on_demand`); None: there is no detector for it.
+            (`edge.tasks.scene.on_demand`); None: there is no detector for it.
         trajectory: the trajectory that `give_trajectory` received; None before.
         shown_trajectories: trajectories that `visual_3d` received, (n, 2 or 3) float64 each.
         detected: by name that was detected on demand, the ids of its objects.
@@ -252,7 +252,7 @@ class ScriptFunctions:
         """Return the point where the robot stops at an object if it comes from a point.
 
         By default it comes from its present place. See
-        `edge.tasks.ground.ReachableGround.stopping_point`.
+        `edge.tasks.scene.ground.ReachableGround.stopping_point`.
         """
         pose = self._scene.pose
         here = (pose.x_m, pose.y_m)

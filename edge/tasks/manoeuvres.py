@@ -15,10 +15,10 @@ import numpy as np
 
 from edge.geometry import SE2
 from edge.tasks.functions import PASSING_DISTANCE_M, CallError, Point, ScriptFunctions
-from edge.tasks.ground import ReachableGround, ground_of
-from edge.tasks.phrases import ground_kind
-from edge.tasks.scene import SceneObject
-from edge.tasks.steps import RouteLimits
+from edge.tasks.scene.ground import ReachableGround, ground_of
+from edge.tasks.scene.scene import SceneObject
+from edge.tasks.sentences.phrases import ground_kind
+from edge.tasks.sentences.steps import RouteLimits
 from edge.trajectory.smoothing import resample
 
 AVOID_M = 1.0

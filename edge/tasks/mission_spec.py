@@ -13,17 +13,17 @@ from edge import names
 from edge.config import Config, TranslatorLtl, WriterModel
 from edge.memory import Site
 from edge.mission.instructions import MissionError
-from edge.mission.language import nouns
 from edge.mission.language.intents import NoMissionError
-from edge.mission.language.places import quote_places
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.words import nouns
+from edge.mission.language.words.places import quote_places
+from edge.mission.language.words.tokens import UnclearError
 from edge.mission.logic import ltl
 from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import MissionSpec, prepare, spec_of_task
 from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation, TranslationError
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
-from edge.tasks.reading import (
+from edge.tasks.sentences.reading import (
     begins_with_path_word,
     describes_path,
     named_objects,

@@ -18,8 +18,8 @@ import cv2
 
 from edge.config import TrajectoryLimits
 from edge.tasks.functions import describe_object
-from edge.tasks.picture import draw_marks
-from edge.tasks.scene import Scene
+from edge.tasks.scene.picture import draw_marks
+from edge.tasks.scene.scene import Scene
 from edge.tasks.trajectory import MAX_POINTS
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS

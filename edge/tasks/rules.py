@@ -1,6 +1,6 @@
 """Planner `rules`: writes a trajectory for an instruction of a small grammar, without a model.
 
-`edge.tasks.reading` reads the instruction.
+`edge.tasks.sentences.reading` reads the instruction.
 The planner makes the calls that a model's script would make, and guesses nothing. The sides of an
 object are named as the robot sees them when it comes to the object.
 """
@@ -35,10 +35,10 @@ from edge.tasks.manoeuvres import (
     points_around,
     regions_of,
 )
-from edge.tasks.object_phrases import centre_m, object_name
-from edge.tasks.reading import parse_steps
-from edge.tasks.scene import SceneObject
-from edge.tasks.steps import OF_SUFFIX, OTHER_SIDE, InstructionStep
+from edge.tasks.scene.scene import SceneObject
+from edge.tasks.sentences.object_phrases import centre_m, object_name
+from edge.tasks.sentences.reading import parse_steps
+from edge.tasks.sentences.steps import OF_SUFFIX, OTHER_SIDE, InstructionStep
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line
 from edge.trajectory.smoothing import resample

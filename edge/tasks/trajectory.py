@@ -16,7 +16,7 @@ import numpy as np
 from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M
-from edge.tasks.ground import ESCAPE_M, ReachableGround
+from edge.tasks.scene.ground import ESCAPE_M, ReachableGround
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS
 

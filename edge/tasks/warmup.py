@@ -10,11 +10,11 @@ from edge.config import MappingConfig, RobotConfig, TasksConfig, TrajectoryLimit
 from edge.geometry import CameraModel, se3, to_optical
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
-from edge.tasks.map_scene import scene_of_map
-from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import refine
-from edge.tasks.scene_builder import add_detections
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.map_scene import scene_of_map
+from edge.tasks.scene.objects import ObjectMap
+from edge.tasks.scene.scene_builder import add_detections
+from edge.tasks.scene.value_map import PathMargins
 from edge.tasks.write import write_trajectory
 from edge.trajectory.pursuit import MotionLimits
 from edge.types import Detections, Instance, Observation

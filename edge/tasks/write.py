@@ -14,11 +14,11 @@ from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import ScriptFunctions
-from edge.tasks.ground import ReachableGround, ground_of
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, prompt_version, with_new_objects
-from edge.tasks.scene import Scene
+from edge.tasks.scene.ground import ReachableGround, ground_of
+from edge.tasks.scene.scene import Scene
 from edge.tasks.script import ScriptLimits, run_script
-from edge.tasks.steps import InstructionStep, describe_steps
+from edge.tasks.sentences.steps import InstructionStep, describe_steps
 from edge.tasks.trajectory import CoarseTrajectory
 from edge.text import one_line
 
@@ -122,7 +122,7 @@ def write_trajectory(
     Example:
         >>> import numpy as np
         >>> from edge.geometry import SE2, Grid
-        >>> from edge.tasks.scene import Region
+        >>> from edge.tasks.scene.scene import Region
         >>> free, floor = np.zeros((100, 100), np.int8), np.ones((100, 100), np.uint8)
         >>> occupancy, regions = (Grid(cells, (-5.0, -5.0), 0.1) for cells in (free, floor))
         >>> pose, hall = SE2(0.0, 0.0, 0.0), {1: Region(1, "floor", 100.0)}

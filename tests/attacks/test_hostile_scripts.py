@@ -20,7 +20,7 @@ from task_scenes import STREET, Thing, street
 from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks.functions import ScriptFunctions
-from edge.tasks.ground import ground_of
+from edge.tasks.scene.ground import ground_of
 from edge.tasks.script import MOST_ERROR_CHARS, ScriptLimits, run_script
 from edge.tasks.trajectory import check
 from edge.tasks.write import write_trajectory

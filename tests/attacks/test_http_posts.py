@@ -24,7 +24,7 @@ from edge.host.credentials import BearerToken
 from edge.host.service_manager import SystemdNotifier
 from edge.host.web_server import serve
 from edge.live.view import LiveView
-from edge.loop.service_health import ServiceHealth
+from edge.loop.monitoring.service_health import ServiceHealth
 
 HERE, TOKEN = "127.0.0.1", "a-token-of-the-tests"
 GOOD = b'{"do": "pause"}'

@@ -22,7 +22,7 @@ from edge.bus.client import send_request
 from edge.bus.requests import RequestServer
 from edge.bus.session import declare_publisher, open_session
 from edge.config import ZenohConfig
-from edge.loop.requests import mission_verbs
+from edge.loop.requests.handlers import mission_verbs
 
 pytestmark = pytest.mark.slow
 

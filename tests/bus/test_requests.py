@@ -22,7 +22,7 @@ from edge.bus.verbs import Request
 from edge.config import ZenohConfig
 from edge.errors import UserError
 from edge.host.ports import free_port
-from edge.loop.requests import mission_verbs
+from edge.loop.requests.handlers import mission_verbs
 
 KEY = "edge/mission/request"
 

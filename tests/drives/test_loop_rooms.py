@@ -13,9 +13,9 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.behaviours.room_targets import is_closed
-from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
-from edge.loop.requests import handle_mission
-from edge.loop.site_requests import SITE_VERBS, handle_site
+from edge.loop.requests.handlers import handle_mission
+from edge.loop.requests.memory_requests import MEMORY_VERBS, handle_memory
+from edge.loop.requests.site_requests import SITE_VERBS, handle_site
 from edge.memory import RoomName, Site, Zone
 from edge.mission.spec import prepare
 from edge.types import GoalStatus

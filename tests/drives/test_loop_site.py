@@ -9,7 +9,7 @@ from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.site_requests import SITE_VERBS, handle_site
+from edge.loop.requests.site_requests import SITE_VERBS, handle_site
 from edge.memory import Place, Site, Zone
 from edge.mission.destinations import PlaceTarget
 from edge.mission.spec import prepare

@@ -15,14 +15,14 @@ from simulated import simulated
 from edge.bus.verbs import Request
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.behaviours import plan_worker
-from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.metrics import SERVICE_METRICS
-from edge.loop.requests import handle_mission, mission_verbs
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.monitoring.metrics import SERVICE_METRICS
+from edge.loop.requests.handlers import handle_mission, mission_verbs
 from edge.loop.service import Service
 from edge.loop.status import status_message
 from edge.policies import make_policy
 from edge.tasks.mission_spec import prepare_mission
-from edge.tasks.object_phrases import AmbiguousObjectError
+from edge.tasks.sentences.object_phrases import AmbiguousObjectError
 from edge.types import Instance
 
 STRAIGHT = "go straight for 2 metres"

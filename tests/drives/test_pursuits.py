@@ -14,7 +14,7 @@ from edge.config import MissionConfig, TranslatorGrammar
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.requests import handle_mission, mission_verbs
+from edge.loop.requests.handlers import handle_mission, mission_verbs
 from edge.memory import Place, RoomName, Site, Zone
 from edge.mission.repetition import Repetition
 from edge.mission.spec import prepare

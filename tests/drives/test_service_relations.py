@@ -9,7 +9,7 @@ from small_house import HOUSE, driven
 
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.behaviours.search import SearchBehaviour
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
 from edge.mission.spec import prepare

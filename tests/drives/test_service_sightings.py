@@ -7,7 +7,7 @@ from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.requests import handle_mission
+from edge.loop.requests.handlers import handle_mission
 from edge.mission.spec import prepare
 from edge.perception.factory import make_detector
 

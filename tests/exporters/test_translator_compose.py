@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from random import Random
 
-from edge.mission.language.prefix_notation import NAMES, OPERATORS, REFUSED, arity, formula_of
+from edge.mission.language.grammar.prefix_notation import (
+    NAMES,
+    OPERATORS,
+    REFUSED,
+    arity,
+    formula_of,
+)
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import propositions
 from exporters.training.translator.compose import Composer, delexicalised, load

@@ -13,8 +13,8 @@ import yaml
 torch = pytest.importorskip("torch")
 
 from edge.lab.eval.translation_cases import TranslationCase  # noqa: E402
-from edge.mission.language.network import TranslationNetwork  # noqa: E402
-from edge.mission.language.prefix_notation import NAMES  # noqa: E402
+from edge.mission.language.grammar.prefix_notation import NAMES  # noqa: E402
+from edge.mission.language.networks.network import TranslationNetwork  # noqa: E402
 from edge.mission.logic.ltl import parse  # noqa: E402
 from edge.perception.runtime.cards import read_card  # noqa: E402
 from edge.perception.runtime.onnx_file import check_file  # noqa: E402

@@ -31,7 +31,7 @@ from edge.host.checkpoint import (
     load,
     save,
 )
-from edge.loop.map_checkpoint import MAP
+from edge.loop.checkpoints.map_checkpoint import MAP
 from edge.mission.checkpoint import MISSION
 
 MAX_BYTES = 1 << 20

@@ -13,7 +13,7 @@ from edge.bus.verbs import Request
 from edge.cli.mission import add_arguments
 from edge.config import ZenohConfig
 from edge.errors import UserError
-from edge.loop.requests import mission_verbs
+from edge.loop.requests.handlers import mission_verbs
 from edge.mission.logic.ltl import parse, to_text
 
 KEY = "edge/mission/request"

@@ -15,7 +15,7 @@ from llm_process import serving_llm
 from edge.chat import ChatClient, TokenLimitError
 from edge.config import TranslatorLlm
 from edge.lab.eval.planning.templates import generate
-from edge.mission.language.llm import constraint, conversation, formula_in, objects_in
+from edge.mission.language.networks.llm import constraint, conversation, formula_in, objects_in
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse
 from edge.mission.translate import TranslationError, make_translator

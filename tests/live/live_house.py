@@ -22,11 +22,11 @@ from edge.host.web_server import serve
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.live.sink import LiveSink
 from edge.live.view import PUBLIC, LiveView
-from edge.loop import requests
-from edge.loop.agent_requests import agent_handlers
+from edge.loop.monitoring.service_health import PROBES, ServiceHealth
+from edge.loop.requests.agent_requests import agent_handlers
+from edge.loop.requests.handlers import mission_verbs, request_handlers
 from edge.loop.result import TickResult
 from edge.loop.runner import RunningService, loop
-from edge.loop.service_health import PROBES, ServiceHealth
 from edge.memory import KnownObject
 from edge.tasks.facts import TaskStatus
 from edge.tasks.mission_spec import prepare_mission
@@ -137,9 +137,9 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     if config.mission.on_request:
         closed.service.mission.set_idle()
     prepare = partial(prepare_mission, config)
-    handlers = requests.request_handlers(closed.service, prepare)
+    handlers = request_handlers(closed.service, prepare)
     if config.mcp is not None:
-        prepare_new = requests.mission_verbs(prepare)["new"].prepare
+        prepare_new = mission_verbs(prepare)["new"].prepare
         handlers |= agent_handlers(closed.service, config.mcp, prepare_new, lambda of: {})
     queues = {key: RequestQueue(key, verbs, handle) for key, (verbs, handle) in handlers.items()}
     known = None if token is None else BearerToken(token.encode())

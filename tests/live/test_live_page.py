@@ -18,7 +18,7 @@ from task_facts import by_a_model, driving, looking
 from edge.host.service_manager import SystemdNotifier
 from edge.host.web_server import serve
 from edge.live.view import LiveView
-from edge.loop.service_health import ServiceHealth
+from edge.loop.monitoring.service_health import ServiceHealth
 from edge.memory import KnownObject
 from edge.sources.synchronizer import TimeSynchronizer
 

@@ -18,8 +18,8 @@ from edge.geometry import SE2, Grid
 from edge.host.service_manager import SystemdNotifier
 from edge.live.page_json import MAX_LAYERS, MAX_POINTS
 from edge.live.view import PUBLIC, LiveView
+from edge.loop.monitoring.service_health import ServiceHealth
 from edge.loop.result import Event, ScoredCandidates
-from edge.loop.service_health import ServiceHealth
 from edge.memory import KnownObject, Place, Site, Zone
 from edge.types import Goal, GoalStatus, Instance, MissionStatus
 

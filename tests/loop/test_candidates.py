@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mapping.mapping_twins import SMALL, complete, look, room
 
 from edge.geometry import SE2
-from edge.loop.candidates import CandidatePool
+from edge.loop.goals.candidates import CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.policies.base import FRONTIER, INSTANCE, SPIN, Candidates
 from edge.types import Instance

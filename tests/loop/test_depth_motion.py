@@ -11,7 +11,7 @@ from simulated import simulated
 
 from edge.geometry import SE2, CameraModel
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.depth_motion import MISFIT, MOST_RETRY_NS, RETRY_NS, DepthMotionCheck
+from edge.loop.checks.depth_motion import MISFIT, MOST_RETRY_NS, RETRY_NS, DepthMotionCheck
 
 SECOND_NS = 1_000_000_000
 TICK_NS = SECOND_NS // 10

@@ -10,7 +10,7 @@ from edge.loop.behaviours.driven_trajectory import RESEND_M, DrivenTrajectory
 from edge.loop.behaviours.plan_worker import PlanResult
 from edge.mission.task_step import TaskStep
 from edge.tasks.refine import refine
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 VAN = ((3, "van"),)

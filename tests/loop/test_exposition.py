@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from edge.loop.exposition import MOST_SERIES, OTHER, Exposition, MetricSpec, read_table
 from edge.loop.histogram import Histogram
+from edge.loop.monitoring.exposition import MOST_SERIES, OTHER, Exposition, MetricSpec, read_table
 
 NASTY = ['say "hi"', "a\nb", "\\", "x" * 10_000, "\0\x1b[2J", "ß→", "", "a b\r\nc"]
 

@@ -10,8 +10,8 @@ import pytest
 from simulated import simulated
 
 from edge.geometry import SE2
-from edge.loop.candidates import CandidatePool
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.candidates import CandidatePool
+from edge.loop.goals.goal import GoalTracker
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.results import Frontiers
 from edge.policies.base import FRONTIER, INSTANCE, PolicyInput, ScorerOutputs

@@ -13,7 +13,7 @@ from edge import names
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.requests import handle_mission, mission_verbs
+from edge.loop.requests.handlers import handle_mission, mission_verbs
 from edge.mission.language.intents import MemoryQuestion, NoMissionError
 from edge.tasks.mission_spec import prepare_mission
 
@@ -70,7 +70,7 @@ def test_objects_within_range_of_a_named_one_are_near(loop, monkeypatch):
         found = [one for one in seen if name in (None, one["name"])]
         return {"objects": found or seen[:1], "text": f"no {name} has been seen; a desk has"}
 
-    monkeypatch.setattr("edge.loop.intent_requests.handle_memory", handle)
+    monkeypatch.setattr("edge.loop.requests.intent_requests.handle_memory", handle)
     assert say(loop, "What is next to the desk?")["text"] == "within 1.5 m of the desk: mug, lamp"
     assert say(loop, "What is on the bed?")["text"] == "within 1.5 m of the bed: lamp"
     assert say(loop, "What is on the sofa?")["text"] == "no sofa has been seen; a desk has"

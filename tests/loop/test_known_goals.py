@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.geometry import SE2
-from edge.loop.known_goals import (
+from edge.loop.goals.known_goals import (
     AT_PLACE_M,
     SAME_POINT_M,
     goal_at_place,

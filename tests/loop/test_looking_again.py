@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from edge.loop.search_state import NextBestView
+from edge.loop.goals.search_state import NextBestView
 from edge.mapping.coverage import Viewpoint
 
 ENOUGH = 3

@@ -15,12 +15,12 @@ from edge.host.board import BoardReading
 from edge.host.service_manager import SystemdNotifier
 from edge.host.worker import WorkerStats
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.metrics import BOARD_METRICS, HEALTH_METRICS, SERVICE_METRICS, Metrics
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.monitoring.metrics import BOARD_METRICS, HEALTH_METRICS, SERVICE_METRICS, Metrics
+from edge.loop.monitoring.service_health import ServiceHealth
 from edge.loop.publish import statuses
 from edge.loop.reload import Reloader
 from edge.loop.runner import RunningService
-from edge.loop.service_health import ServiceHealth
 
 MISSION = 'go to the bed"} 1\n' + "x" * 10_000
 HOT = BoardReading(

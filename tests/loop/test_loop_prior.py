@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from edge.config import DetectorSim, MappingConfig
 from edge.geometry import se3
-from edge.loop.prior import LEAST, MOST, LocationPrior
+from edge.loop.scoring.prior import LEAST, MOST, LocationPrior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.regions import NO_REGIONS, RegionMap, survey_regions

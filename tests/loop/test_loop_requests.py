@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.bus.verbs import MAX_CHARS, Request, read_request
-from edge.loop.requests import MODEL_VERBS, handle_model, mission_verbs
+from edge.loop.requests.handlers import MODEL_VERBS, handle_model, mission_verbs
 from edge.perception.detection.sim import SimDetector
 from edge.perception.swap.base import SwapError
 from edge.perception.swap.detector import DetectorSwap

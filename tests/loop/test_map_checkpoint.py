@@ -17,9 +17,9 @@ from simulated import simulated
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop, RunLog
-from edge.loop import map_checkpoint
-from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
+from edge.loop.checkpoints import map_checkpoint
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
 from edge.loop.service import Service
 from edge.mapping.tiles import LayerTiles, TileCopier
 from edge.mapping.window import Window

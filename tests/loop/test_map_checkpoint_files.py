@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from test_map_checkpoint import Run, config
 
 from edge.host.checkpoint import Arrays, Checkpoint, save
-from edge.loop.map_checkpoint import MAP, MapCheckpoint, MapState
+from edge.loop.checkpoints.map_checkpoint import MAP, MapCheckpoint, MapState
 
 SETTINGS = config("hvl", source={"localised": True})
 

@@ -18,8 +18,8 @@ from edge.errors import UserError
 from edge.host import checkpoint
 from edge.host.checkpoint import CheckpointError
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.crop_checkpoint import CropCheckpoint
-from edge.loop.memory_requests import MEMORY_VERBS, handle_memory, similar_words
+from edge.loop.checkpoints.crop_checkpoint import CropCheckpoint
+from edge.loop.requests.memory_requests import MEMORY_VERBS, handle_memory, similar_words
 from edge.memory import CropStore
 from edge.perception.prior.table import load
 from edge.perception.prior.words import PriorWordIndex

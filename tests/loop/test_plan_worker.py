@@ -11,10 +11,10 @@ from task_scenes import STREET, Thing, street
 
 from edge.loop.behaviours import plan_worker
 from edge.loop.behaviours.plan_worker import SAME_OBJECT_M, PlanResult, _find_again, run_request
-from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import refine
-from edge.tasks.scene import Region
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.objects import ObjectMap
+from edge.tasks.scene.scene import Region
+from edge.tasks.scene.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 

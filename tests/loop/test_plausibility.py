@@ -18,7 +18,7 @@ from simulated import simulated
 from edge.config import Config
 from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.plausibility import LOG_AGAIN_NS, REPORT_AFTER_NS, Plausibility
+from edge.loop.checks.plausibility import LOG_AGAIN_NS, REPORT_AFTER_NS, Plausibility
 from edge.loop.semantic_map import SemanticMap
 from edge.types import Observation
 

@@ -15,8 +15,8 @@ from simulated import simulated
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.scorer_questions import IN_VIEW_NS, objects_in_view
-from edge.loop.scorers import Scorers, make_scorers
+from edge.loop.scoring.scorer_questions import IN_VIEW_NS, objects_in_view
+from edge.loop.scoring.scorers import Scorers, make_scorers
 from edge.loop.status import status_message
 from edge.mission.spec import prepare
 from edge.perception.runtime.cards import ModelError

@@ -12,7 +12,7 @@ from edge.bus.verbs import Request
 from edge.errors import UserError
 from edge.host import resources
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.requests import MODEL_VERBS, handle_model
+from edge.loop.requests.handlers import MODEL_VERBS, handle_model
 from edge.loop.status import status_message
 from edge.perception.runtime.cards import ModelError
 from edge.perception.swap.base import SwapError

@@ -12,9 +12,9 @@ from simulated import simulated
 
 from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.cooccurrence import PriorChoice, RelatedScores, p_object_given_word
-from edge.loop.scorer_questions import mark_costs
-from edge.loop.scorers import Scorers
+from edge.loop.scoring.cooccurrence import PriorChoice, RelatedScores, p_object_given_word
+from edge.loop.scoring.scorer_questions import mark_costs
+from edge.loop.scoring.scorers import Scorers
 from edge.mapping.grid import RollingMap
 from edge.mission.spec import prepare
 from edge.perception.prior.table import load

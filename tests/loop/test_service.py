@@ -20,7 +20,7 @@ from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.lab.report.recorder import ReportRecorder
-from edge.loop.goal_choice import TrackedGoal
+from edge.loop.goals.goal_choice import TrackedGoal
 from edge.loop.status import status_message
 from edge.perception.worker import DetectorWorker
 from edge.sinks.zenoh import ZenohSink
@@ -389,7 +389,7 @@ def watched(monkeypatch) -> Iterator[ClosedLoop]:
 
 def test_the_steady_tick_allocates_no_large_arrays(watched, monkeypatch):
     # The map is cut into rooms on a thread of its own, which is not to be measured here.
-    monkeypatch.setattr("edge.loop.room_surveyor.PERIOD_NS", 10**12)
+    monkeypatch.setattr("edge.loop.scoring.room_surveyor.PERIOD_NS", 10**12)
     watched.run(5)
     assert not watched.service.status.done
     watched.drive.step(0.0, 0.0, 0.0)

@@ -11,7 +11,7 @@ from simulated import simulated
 from test_map_checkpoint import Run
 
 from edge.host.checkpoint import load, save
-from edge.loop.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.result import mission_facts
 from edge.loop.status import mission_json
 from edge.mission.checkpoint import MISSION

@@ -18,12 +18,13 @@ from test_loops import blanks, running_of
 from edge.host.service_manager import SystemdNotifier
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.error_boundary import DEGRADED_AFTER
+from edge.loop.monitoring.service_health import HANGS_S, ServiceHealth
 from edge.loop.runner import RunningService
-from edge.loop.service_health import HANGS_S, ServiceHealth
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.sources.synchronizer import TimeSynchronizer
 
+MODULE = ServiceHealth.__module__
 WATCHDOG_S = 8.0
 
 
@@ -190,10 +191,10 @@ def test_too_many_open_files_make_the_service_not_ready(watched, monkeypatch, ca
     watched.vitals.ready()
     for why, logged in ((short, short), (short, ""), ("", "can be opened again"), ("", "")):
         caplog.clear()
-        monkeypatch.setattr("edge.loop.service_health.open_files_problem", lambda why=why: why)
-        with caplog.at_level(logging.INFO, "edge.loop.service_health"):
+        monkeypatch.setattr(f"{MODULE}.open_files_problem", lambda why=why: why)
+        with caplog.at_level(logging.INFO, MODULE):
             watched.beat(after_s=1.0)
-        said = [r.message for r in caplog.records if r.name == "edge.loop.service_health"]
+        said = [r.message for r in caplog.records if r.name == MODULE]
         assert len(said) == bool(logged)
         assert logged in "".join(said)
         _, page = watched.page("/readyz")

@@ -12,7 +12,7 @@ from edge.bus.verbs import Request
 from edge.config import Config
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.requests import handle_mission
+from edge.loop.requests.handlers import handle_mission
 from edge.loop.status import status_message
 from edge.mission.spec import prepare
 from edge.perception.embedding.text import PromptError

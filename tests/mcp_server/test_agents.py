@@ -28,8 +28,8 @@ from edge.host.credentials import BearerToken
 from edge.host.ports import free_port
 from edge.host.stop_latch import StopLatch
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
-from edge.loop.agent_requests import MAX_WAITING, agent_handlers
-from edge.loop.requests import mission_verbs
+from edge.loop.requests.agent_requests import MAX_WAITING, agent_handlers
+from edge.loop.requests.handlers import mission_verbs
 from edge.memory import Place, Site
 from edge.tasks.mission_spec import prepare_mission
 from edge.types import CAMERAS

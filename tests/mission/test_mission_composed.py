@@ -5,8 +5,8 @@ from __future__ import annotations
 from random import Random
 
 from edge.lab.eval.equivalence import distinguishing_trace
-from edge.mission.language.grammar import TranslationError, readings
-from edge.mission.language.prefix_notation import NAMES, REFUSED, formula_of
+from edge.mission.language.grammar.instruction import TranslationError, readings
+from edge.mission.language.grammar.prefix_notation import NAMES, REFUSED, formula_of
 from edge.mission.logic.ltl import to_text
 from edge.mission.readings import distinct
 from exporters.training.translator.compose import Composer, load

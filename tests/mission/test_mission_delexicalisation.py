@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.mission.language.delexicalisation import delexicalise_text
-from edge.mission.language.prefix_notation import MOST_NAMES, NAMES
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.grammar.prefix_notation import MOST_NAMES, NAMES
+from edge.mission.language.networks.delexicalisation import delexicalise_text
+from edge.mission.language.words.tokens import TranslationError
 
 LIFTED = [
     ("", "", ()),

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from edge.lab.eval.equivalence import distinguishing_trace
 from edge.lab.eval.planning.templates import generate
-from edge.mission.language.english import describe
-from edge.mission.language.grammar import readings
+from edge.mission.language.grammar.english import describe
+from edge.mission.language.grammar.instruction import readings
 from edge.mission.logic import ltl
 from edge.mission.logic.ltl import Formula, ap, parse
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.mission.language.errands import spell_out
-from edge.mission.language.everyday_words import bare, is_room
-from edge.mission.language.spans import DURATION, seconds_of
-from edge.mission.language.tokens import TranslationError, UnclearError
+from edge.mission.language.errands.spell_out import spell_out
+from edge.mission.language.words.everyday_words import bare, is_room
+from edge.mission.language.words.spans import DURATION, seconds_of
+from edge.mission.language.words.tokens import TranslationError, UnclearError
 
 PLACES = ["dock", "loading bay 2"]
 

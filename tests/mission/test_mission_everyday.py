@@ -22,7 +22,7 @@ from edge.mission.language.intents import (
 )
 from edge.mission.language.remarks import is_remark
 from edge.mission.language.tidy import tidy_up
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.words.tokens import TranslationError
 from edge.mission.spec import prepare
 
 EVERYDAY = {

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from edge.mission.language.everyday_words import NAME, phrase_of
+from edge.mission.language.words.everyday_words import NAME, phrase_of
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from edge.config import MissionConfig, TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval.everyday import SITE
 from edge.mission.destinations import FailureTarget
-from edge.mission.language.impossible import refuse_states
-from edge.mission.language.outcomes import split_outcomes
+from edge.mission.language.errands.impossible import refuse_states
+from edge.mission.language.errands.outcomes import split_outcomes
 from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import MissionSpec, prepare
 

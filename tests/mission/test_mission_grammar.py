@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from edge.config import TranslatorAuto, TranslatorGrammar
 from edge.lab.eval.equivalence import distinguishing_trace
-from edge.mission.language.grammar import TranslationError, readings
-from edge.mission.language.lexicon import PHRASES, TABLE
-from edge.mission.language.tokens import MAX_CHARS, MAX_WORDS
+from edge.mission.language.grammar.instruction import TranslationError, readings
+from edge.mission.language.words.lexicon import PHRASES, TABLE
+from edge.mission.language.words.tokens import MAX_CHARS, MAX_WORDS
 from edge.mission.logic.ltl import Formula, ap, eventually, parse, to_text
 from edge.mission.readings import AmbiguousInstructionError, distinct
 from edge.mission.translate import Translator, make_translator

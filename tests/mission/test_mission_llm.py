@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from edge.chat import ChatError
 from edge.config import TranslatorLlm
 from edge.errors import UserError
-from edge.mission.language import llm
-from edge.mission.language.llm import (
+from edge.mission.language.networks import llm
+from edge.mission.language.networks.llm import (
     MOST_NESTING,
     MOST_OPERANDS,
     SPARE,

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.lab.eval.equivalence import distinguishing_trace
-from edge.mission.language import model as small
-from edge.mission.language.model import NeuralTranslator
-from edge.mission.language.network import FormulaHypothesis, TranslationNetwork
-from edge.mission.language.prefix_notation import NAMES, REFUSED
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.grammar.prefix_notation import NAMES, REFUSED
+from edge.mission.language.networks import model as small
+from edge.mission.language.networks.model import NeuralTranslator
+from edge.mission.language.networks.network import FormulaHypothesis, TranslationNetwork
+from edge.mission.language.words.tokens import TranslationError
 from edge.mission.logic.ltl import parse
 
 KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")

@@ -9,7 +9,7 @@ import pytest
 
 from edge.config.mission import TranslatorGrammar
 from edge.lab.eval.equivalence import distinguishing_trace
-from edge.mission.language.grammar import TranslationError, readings
+from edge.mission.language.grammar.instruction import TranslationError, readings
 from edge.mission.logic.ltl import parse
 from edge.mission.readings import distinct
 from edge.mission.translate import make_translator

@@ -8,7 +8,7 @@ from edge.config import MissionConfig, TranslatorGrammar
 from edge.geometry import SE2
 from edge.lab.eval.everyday import SITE
 from edge.memory import Place
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.words.tokens import UnclearError
 from edge.mission.repetition import Repetition
 from edge.mission.spec import prepare
 

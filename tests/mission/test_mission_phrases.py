@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from edge.lab.eval.equivalence import distinguishing_trace
-from edge.mission.language.grammar import TranslationError, readings
+from edge.mission.language.grammar.instruction import TranslationError, readings
 from edge.mission.logic.ltl import Formula, parse
 from edge.mission.readings import distinct
 

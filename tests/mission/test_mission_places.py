@@ -9,7 +9,7 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Place, RoomName, Site, Zone
 from edge.mission.destinations import PlaceTarget
-from edge.mission.language.places import quote_places
+from edge.mission.language.words.places import quote_places
 from edge.mission.spec import prepare
 from edge.mission.translate import TranslationError
 

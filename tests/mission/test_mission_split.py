@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ltl_semantics import holds
 
-from edge.mission.language.grammar import readings
+from edge.mission.language.grammar.instruction import readings
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.split import split

@@ -20,11 +20,11 @@ from recordings import Recording, small
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.goal import GoalTracker
+from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
+from edge.loop.checkpoints.map_checkpoint import SUFFIX
+from edge.loop.goals.goal import GoalTracker
 from edge.loop.input_log import InputLog
-from edge.loop.map_checkpoint import SUFFIX
-from edge.loop.scorers import Scorers
+from edge.loop.scoring.scorers import Scorers
 from edge.loop.service import Service
 from edge.memory import Place, Site, Zone
 from edge.mission.spec import prepare
@@ -332,8 +332,8 @@ def test_a_run_resumed_from_a_checkpoint(tmp_path, monkeypatch):
 )
 def test_a_run_that_restores_its_map(tmp_path, monkeypatch, localised, boot, elsewhere):
     """Killed, and started again: in a replay there is neither its computer nor its clock."""
-    monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "this")
-    monkeypatch.setattr("edge.loop.map_checkpoint.PERIOD_S", 0.0)
+    monkeypatch.setattr("edge.loop.checkpoints.map_checkpoint.boot_id", lambda: "this")
+    monkeypatch.setattr("edge.loop.checkpoints.map_checkpoint.PERIOD_S", 0.0)
     path, left = tmp_path / "mission.json", tmp_path / "left.json"
     config = small(source={"localised": localised})
     loop = ClosedLoop(config)
@@ -352,7 +352,7 @@ def test_a_run_that_restores_its_map(tmp_path, monkeypatch, localised, boot, els
         shutil.copy(f"{path}{suffix}", f"{left}{suffix}")
     killed.close()
 
-    monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: boot)
+    monkeypatch.setattr("edge.loop.checkpoints.map_checkpoint.boot_id", lambda: boot)
     checkpoint, sink = (
         ServiceCheckpoint(config, left, None),
         McapSink(config, str(tmp_path / "run")),
@@ -369,7 +369,7 @@ def test_a_run_that_restores_its_map(tmp_path, monkeypatch, localised, boot, els
         loop.step()
     for one in (loop, sink, checkpoint):
         one.close()
-    monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "a desk")
+    monkeypatch.setattr("edge.loop.checkpoints.map_checkpoint.boot_id", lambda: "a desk")
     recorded = files_of(tmp_path / "run")[0]
     entries = [e for m in RecordedRun(recorded).steps() for e in m.page.entries]
     assert [e.fields["value"] for e in entries if e.kind == "decision"] == elsewhere

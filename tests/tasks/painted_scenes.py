@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.tasks.captions import compose_captions
+from edge.tasks.scene.captions import compose_captions
 from edge.types import Detections, Observation
 
 RGB = tuple[int, int, int]

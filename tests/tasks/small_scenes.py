@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from edge.geometry import SE2, Grid
-from edge.tasks.scene import Region, Scene
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.scene import Region, Scene
+from edge.tasks.scene.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 CELL_M = 0.1

@@ -6,7 +6,7 @@ import pytest
 from painted_scenes import PAINTS
 
 from edge.geometry import SE2
-from edge.tasks.captions import (
+from edge.tasks.scene.captions import (
     COLOURS,
     colour_names,
     colour_of,

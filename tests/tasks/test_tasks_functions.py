@@ -13,7 +13,7 @@ from task_scenes import RESOLUTION_M, ROAD, STREET, Thing, street
 from edge.config import TrajectoryLimits
 from edge.geometry import wrap_angle
 from edge.tasks.functions import MOST_SHOWN, CallError, ScriptFunctions
-from edge.tasks.ground import ABOUT_M, ground_of
+from edge.tasks.scene.ground import ABOUT_M, ground_of
 from edge.tasks.trajectory import TrajectoryError
 
 LIMITS = TrajectoryLimits()

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, Thing, street
 
 from edge.geometry import SE2
-from edge.tasks.ground import ESCAPE_M, ground_of
-from edge.tasks.value_map import PathMargins, value_map
+from edge.tasks.scene.ground import ESCAPE_M, ground_of
+from edge.tasks.scene.value_map import PathMargins, value_map
 
 CLEAR_M = 0.3
 HOUSE = ((3.0, 8.0, -3.0, -2.6), (3.0, 8.0, 2.6, 3.0), (3.0, 3.4, -3.0, 3.0), (7.6, 8.0, -3.0, 3.0))

@@ -15,11 +15,11 @@ from edge.host import resources
 from edge.mapping.grid import RollingMap
 from edge.perception.masks.ground import GroundClassifier
 from edge.perception.runtime.cards import ModelError, check_installed, load_card
-from edge.tasks import ground_votes
-from edge.tasks.ground_votes import GroundVotes
-from edge.tasks.map_scene import uninflated
-from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
-from edge.tasks.scene_builder import OUTDOORS, SceneBuilder, add_ground
+from edge.tasks.scene import ground_votes
+from edge.tasks.scene.ground_votes import GroundVotes
+from edge.tasks.scene.map_scene import uninflated
+from edge.tasks.scene.pipeline import PerceptionPipeline, boxes_as_masks
+from edge.tasks.scene.scene_builder import OUTDOORS, SceneBuilder, add_ground
 from edge.tasks.write import write_trajectory
 
 pytest.importorskip("onnxruntime")

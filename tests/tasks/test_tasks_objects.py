@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import wrap_angle
-from edge.tasks import objects
-from edge.tasks.objects import (
+from edge.tasks.scene import objects
+from edge.tasks.scene.objects import (
     MOST_POINTS,
     ObjectMap,
     box_around,

@@ -12,10 +12,10 @@ from scans import street as seen_street
 from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.tasks.functions import MOST_DETECTIONS, CallError, ScriptFunctions
-from edge.tasks.ground import ground_of
-from edge.tasks.on_demand import FrameDetector
-from edge.tasks.pipeline import PerceptionPipeline
-from edge.tasks.scene_builder import SceneBuilder
+from edge.tasks.scene.ground import ground_of
+from edge.tasks.scene.on_demand import FrameDetector
+from edge.tasks.scene.pipeline import PerceptionPipeline
+from edge.tasks.scene.scene_builder import SceneBuilder
 
 CAR = Box(14.0, 4.0, colour=(30, 30, 200))
 BIN = Box(8.0, -3.0, (0.8, 0.8, 1.2), label="trash can", colour=(30, 160, 30))

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from task_scenes import Thing, street
 
-from edge.tasks.outline import outline_of
+from edge.tasks.scene.outline import outline_of
 
 SOFA = Thing("sofa", 8.0, 2.0, (3.2, 3.2))
 

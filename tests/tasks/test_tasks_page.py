@@ -14,7 +14,7 @@ from edge.config import TasksConfig, load
 from edge.errors import UserError
 from edge.lab.eval.trial.scene_capture import capture_street
 from edge.tasks.functions import NAMES
-from edge.tasks.pipeline import run_pipeline
+from edge.tasks.scene.pipeline import run_pipeline
 from edge.tasks.write import write_trajectory
 from edge.types import Detections, Observation
 

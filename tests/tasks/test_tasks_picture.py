@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from edge.geometry import SE2, CameraModel, Grid
-from edge.tasks.picture import colour, draw_marks
-from edge.tasks.scene import Scene
+from edge.tasks.scene.picture import colour, draw_marks
+from edge.tasks.scene.scene import Scene
 
 EMPTY = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.1)
 SQUARE = np.array([[10, 10], [50, 10], [50, 40], [10, 40]], np.int32)

@@ -7,7 +7,7 @@ import pytest
 
 from edge import config
 from edge.perception.detection.sim import Segmentation
-from edge.tasks.pipeline import (
+from edge.tasks.scene.pipeline import (
     PerceptionPipeline,
     boxes_as_masks,
     in_tiles,

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scans import CAMERA, LIDAR, MODEL, Box, found_in, picture, street
 
 from edge.geometry import CameraModel, invert
-from edge.tasks import scan_kernels as kernels
-from edge.tasks.projection import GAP_M, GAP_SHARE, MARGIN_SHARE, in_picture, points_of_masks
+from edge.tasks.scene import scan_kernels as kernels
+from edge.tasks.scene.projection import GAP_M, GAP_SHARE, MARGIN_SHARE, in_picture, points_of_masks
 from edge.types import MASK_SIDE
 
 T_CAMERA_LIDAR = invert(CAMERA) @ LIDAR

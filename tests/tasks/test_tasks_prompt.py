@@ -12,7 +12,6 @@ import numpy as np
 from task_scenes import STREET, Thing, street
 
 from edge.config import TrajectoryLimits
-from edge.tasks.picture import draw_marks
 from edge.tasks.prompt import (
     MOST_OBJECTS,
     annotated_jpeg,
@@ -21,6 +20,7 @@ from edge.tasks.prompt import (
     prompt_version,
     system_prompt,
 )
+from edge.tasks.scene.picture import draw_marks
 
 LIMITS = TrajectoryLimits()
 

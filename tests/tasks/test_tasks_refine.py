@@ -14,8 +14,8 @@ from small_scenes import BODY, LIMITS, Box, fill, scene
 from edge.geometry import SE2
 from edge.tasks.legs import RefineError
 from edge.tasks.refine import CONTROL_M, SPACING_M, RefinedTrajectory, refine, refine_again
-from edge.tasks.scene import Scene
-from edge.tasks.value_map import PathMargins, closed_cells
+from edge.tasks.scene.scene import Scene
+from edge.tasks.scene.value_map import PathMargins, closed_cells
 
 HOUSE: Box = (-1.0, -1.0, 1.0, 1.0)
 WALL: Box = (-0.2, -10.0, 0.2, 10.0)

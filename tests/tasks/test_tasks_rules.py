@@ -14,15 +14,15 @@ from task_scenes import STREET, Thing, street
 
 from edge.config import TrajectoryLimits
 from edge.geometry import SE2, wrap_angle
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.words.tokens import TranslationError
 from edge.tasks.functions import ScriptFunctions
-from edge.tasks.ground import REACH_M, ground_of
-from edge.tasks.phrases import PHRASES, tokenise
-from edge.tasks.reading import named_objects, parse_steps
 from edge.tasks.refine import refine, refine_again
 from edge.tasks.rules import plan_by_rules
+from edge.tasks.scene.ground import REACH_M, ground_of
+from edge.tasks.scene.value_map import PathMargins
+from edge.tasks.sentences.phrases import PHRASES, tokenise
+from edge.tasks.sentences.reading import named_objects, parse_steps
 from edge.tasks.trajectory import TrajectoryError
-from edge.tasks.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = TrajectoryLimits()

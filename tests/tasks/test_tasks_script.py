@@ -16,7 +16,7 @@ from task_scenes import STREET, street
 from edge.config import TrajectoryLimits
 from edge.errors import UnavailableError
 from edge.tasks.functions import ScriptFunctions
-from edge.tasks.ground import ground_of
+from edge.tasks.scene.ground import ground_of
 from edge.tasks.script import ScriptLimits, run_script
 
 LIMITS = TrajectoryLimits()

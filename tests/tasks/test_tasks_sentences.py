@@ -13,17 +13,17 @@ from task_scenes import Thing, street
 
 from edge.config import TrajectoryLimits
 from edge.geometry import wrap_angle
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.words.tokens import TranslationError
 from edge.tasks.functions import ScriptFunctions
-from edge.tasks.ground import ground_of
 from edge.tasks.manoeuvres import AVOID_M
-from edge.tasks.reading import parse_steps, task_steps
 from edge.tasks.refine import refine
 from edge.tasks.rules import plan_by_rules
-from edge.tasks.scene import Region
-from edge.tasks.steps import describe_steps
+from edge.tasks.scene.ground import ground_of
+from edge.tasks.scene.scene import Region
+from edge.tasks.scene.value_map import PathMargins
+from edge.tasks.sentences.reading import parse_steps, task_steps
+from edge.tasks.sentences.steps import describe_steps
 from edge.tasks.trajectory import TrajectoryError
-from edge.tasks.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 SENTENCES = Path(__file__).with_name("sentences.tsv")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.tasks.speeds import speeds_mps, times_s
+from edge.tasks.sentences.speeds import speeds_mps, times_s
 from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.5, turn_accel_radps2=3.0)

@@ -14,10 +14,10 @@ from edge.lab.eval.trajectories.references import possible_tasks
 from edge.lab.sim.generator.rng import PortableRng
 from edge.tasks.follow import goal_ahead
 from edge.tasks.functions import TURNS
-from edge.tasks.object_phrases import centre_m
-from edge.tasks.reading import parse_steps
 from edge.tasks.refine import refine
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.value_map import PathMargins
+from edge.tasks.sentences.object_phrases import centre_m
+from edge.tasks.sentences.reading import parse_steps
 from edge.tasks.write import write_trajectory
 from edge.trajectory.pursuit import MotionLimits
 from edge.trajectory.smoothing import resample

@@ -14,12 +14,12 @@ from edge.geometry import SE2, CameraModel, se3, wrap_angle
 from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
-from edge.tasks.frames import cloud_of, contours_of
-from edge.tasks.ground import ground_of
-from edge.tasks.map_scene import scene_of_map
-from edge.tasks.objects import ObjectMap
-from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
-from edge.tasks.scene_builder import SceneBuilder, add_detections
+from edge.tasks.scene.frames import cloud_of, contours_of
+from edge.tasks.scene.ground import ground_of
+from edge.tasks.scene.map_scene import scene_of_map
+from edge.tasks.scene.objects import ObjectMap
+from edge.tasks.scene.pipeline import PerceptionPipeline, boxes_as_masks
+from edge.tasks.scene.scene_builder import SceneBuilder, add_detections
 from edge.types import MASK_SIDE, Instance, Observation
 
 MAP = config.MappingConfig(

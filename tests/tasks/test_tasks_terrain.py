@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scans import LIDAR, Box, street
 
 from edge.geometry import SE2, Grid
-from edge.tasks import scan_kernels as kernels
-from edge.tasks import terrain
-from edge.tasks.terrain import (
+from edge.tasks.scene import scan_kernels as kernels
+from edge.tasks.scene import terrain
+from edge.tasks.scene.terrain import (
     CELL_M,
     SLOPE,
     STEP_M,

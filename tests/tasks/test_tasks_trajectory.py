@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from task_scenes import STREET, street
 
 from edge.config import TrajectoryLimits
-from edge.tasks.ground import ground_of
+from edge.tasks.scene.ground import ground_of
 from edge.tasks.trajectory import CoarseTrajectory, TrajectoryError, check, coarse_of
 
 LIMITS = TrajectoryLimits()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
-from edge.tasks.value_map import (
+from edge.tasks.scene.value_map import (
     BRIDGE,
     BRIDGE_M,
     CLOSED,

@@ -8,11 +8,11 @@ import numpy as np
 from task_scenes import STREET, street
 
 from edge.config import RobotConfig, TasksConfig
-from edge.tasks import scan_kernels
-from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import refine, refine_again
-from edge.tasks.scene_builder import add_detections
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene import scan_kernels
+from edge.tasks.scene.objects import ObjectMap
+from edge.tasks.scene.scene_builder import add_detections
+from edge.tasks.scene.value_map import PathMargins
 from edge.tasks.warmup import room, warm_up
 from edge.tasks.write import write_trajectory
 from edge.trajectory import kernels

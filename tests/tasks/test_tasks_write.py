@@ -17,7 +17,7 @@ from task_scenes import STREET, street
 
 from edge.chat import ChatError
 from edge.config import TasksConfig, TrajectoryLimits, WriterModel
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.words.tokens import TranslationError
 from edge.tasks import write as writing
 from edge.tasks.functions import ScriptFunctions
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, prompt_version

@@ -19,7 +19,7 @@ from edge.lab.sim.robot import DriveTrain
 from edge.lab.sim.sensors import CameraRig, LidarRig
 from edge.lab.sim.worlds import load_world
 from edge.loop.result import Sink, TickResult
-from edge.loop.scorers import make_scorers
+from edge.loop.scoring.scorers import make_scorers
 from edge.loop.service import Service
 from edge.memory import Site, SiteFile
 from edge.perception.detection.sim import Segmentation

@@ -35,7 +35,7 @@ from edge.lab.eval.json_lines_file import read_lines
 from edge.memory import Place, Site
 from edge.mission.instructions import translate
 from edge.mission.language.intents import Control, MemoryQuestion, NoMissionError, SiteOrder
-from edge.mission.language.spans import DURATION, seconds_of
+from edge.mission.language.words.spans import DURATION, seconds_of
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import (
     Formula,

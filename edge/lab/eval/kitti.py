@@ -19,12 +19,12 @@ from edge.errors import UserError
 from edge.geometry import FARTHEST_M, CameraModel, invert
 from edge.host.c_stderr import silence_c_stderr
 from edge.host.files import read_regular
-from edge.tasks.frames import plausible_points
-from edge.tasks.objects import clusters, downsample, overlap_share
-from edge.tasks.pipeline import PerceptionPipeline
-from edge.tasks.projection import in_picture
-from edge.tasks.scene import Scene
-from edge.tasks.scene_builder import OUTDOORS, SceneBuilder
+from edge.tasks.scene.frames import plausible_points
+from edge.tasks.scene.objects import clusters, downsample, overlap_share
+from edge.tasks.scene.pipeline import PerceptionPipeline
+from edge.tasks.scene.projection import in_picture
+from edge.tasks.scene.scene import Scene
+from edge.tasks.scene.scene_builder import OUTDOORS, SceneBuilder
 from edge.types import MASK_SIDE, Detections, Observation
 
 LIDAR_HEIGHT_M = 1.73

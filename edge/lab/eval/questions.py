@@ -16,7 +16,7 @@ from edge.lab.eval.outcome import RIGHT
 from edge.lab.eval.rooms import RoomVerdict, judge_rooms
 from edge.lab.eval.true_rooms import true_room_at
 from edge.lab.sim.base import World, free_poses, start_at
-from edge.loop.memory_requests import handle_memory
+from edge.loop.requests.memory_requests import handle_memory
 from edge.loop.service import Service
 
 MAX_ERROR_M = 1.0  # of the place in a right answer

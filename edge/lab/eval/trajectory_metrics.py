@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from edge.geometry import Grid
 from edge.jit import jit
 from edge.lab.eval.metrics import REACHED_M
-from edge.tasks.value_map import closed_cells
+from edge.tasks.scene.value_map import closed_cells
 from edge.trajectory.smoothing import resample
 
 SPACING_M = 0.5

@@ -17,8 +17,8 @@ from edge.lab.report import palette, raster
 from edge.lab.report.record import RunRecord
 from edge.lab.report.view3d import Line, coarse_and_refined, scene_page
 from edge.tasks.facts import TaskStatus, lengths_m
-from edge.tasks.objects import box_around
-from edge.tasks.scene import Region, Scene, SceneObject
+from edge.tasks.scene.objects import box_around
+from edge.tasks.scene.scene import Region, Scene, SceneObject
 from edge.tasks.write import PlanAttempt
 from edge.text import bounded_lines, one_line, shorten
 from edge.types import Instance

@@ -14,10 +14,10 @@ import numpy as np
 from edge.geometry import Grid
 from edge.lab.report import canvas, palette
 from edge.lab.report.view3d import OCCUPIED, UNKNOWN, UNKNOWN_RGB, ground_colours
-from edge.tasks.picture import colour
 from edge.tasks.refine import RefinedTrajectory
-from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.value_map import BRIDGE, DRIVABLE, HIGH, TUBE
+from edge.tasks.scene.picture import colour
+from edge.tasks.scene.scene import Scene, SceneObject
+from edge.tasks.scene.value_map import BRIDGE, DRIVABLE, HIGH, TUBE
 from edge.trajectory.costmap import CostMap
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ import numpy as np
 from edge.lab.report import palette
 from edge.lab.report.document import document, pairs_section
 from edge.tasks.refine import RefinedTrajectory
-from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.scene.scene import Scene, SceneObject
 
 VOXEL_M = 0.1  # one point is sent for each cube of this size
 FARTHEST_M = 300.0  # farther points are left out: points are sent as centimetres in int16

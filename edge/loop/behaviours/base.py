@@ -10,7 +10,7 @@ import numpy as np
 from edge.config import Config
 from edge.policies.base import PolicyInput
 from edge.tasks.facts import TaskStatus
-from edge.tasks.pipeline import GroundKinds
+from edge.tasks.scene.pipeline import GroundKinds
 from edge.types import Goal, Instance
 
 

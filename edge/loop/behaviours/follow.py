@@ -38,14 +38,14 @@ from edge.loop.behaviours.plan_worker import (
 )
 from edge.loop.behaviours.search import newest_ids
 from edge.loop.behaviours.stop_verification import StopVerification
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.goal import GoalTracker
+from edge.loop.goals.known_goals import goal_on_trajectory
 from edge.loop.input_log import InputLog
-from edge.loop.known_goals import goal_on_trajectory
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
 from edge.tasks.facts import StepState, StepStatus, TaskPhase, TaskStatus
-from edge.tasks.pipeline import GroundKinds
+from edge.tasks.scene.pipeline import GroundKinds
 from edge.text import one_line
 from edge.types import Detections, Goal, Instance, Observation
 

@@ -16,24 +16,24 @@ from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.loop.input_log import TASK, InputLog
 from edge.mapping.view import MapView
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.words.tokens import TranslationError
 from edge.tasks.functions import ScriptFunctions
-from edge.tasks.ground import ground_of
-from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.manoeuvres import limited_ground
-from edge.tasks.map_scene import scene_of_map
-from edge.tasks.object_phrases import AmbiguousObjectError
-from edge.tasks.objects import ObjectMap
-from edge.tasks.on_demand import FrameDetector
-from edge.tasks.phrases import ground_kind
-from edge.tasks.pipeline import GroundKinds, open_pipeline
 from edge.tasks.prompt import system_prompt, task_text
-from edge.tasks.reading import route_limits
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
-from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.scene_builder import add_detections, add_ground
-from edge.tasks.step_phrases import UnseenGroundError
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.ground import ground_of
+from edge.tasks.scene.ground_votes import GroundVotes
+from edge.tasks.scene.map_scene import scene_of_map
+from edge.tasks.scene.objects import ObjectMap
+from edge.tasks.scene.on_demand import FrameDetector
+from edge.tasks.scene.pipeline import GroundKinds, open_pipeline
+from edge.tasks.scene.scene import Scene, SceneObject
+from edge.tasks.scene.scene_builder import add_detections, add_ground
+from edge.tasks.scene.value_map import PathMargins
+from edge.tasks.sentences.object_phrases import AmbiguousObjectError
+from edge.tasks.sentences.phrases import ground_kind
+from edge.tasks.sentences.reading import route_limits
+from edge.tasks.sentences.step_phrases import UnseenGroundError
 from edge.tasks.write import PlanAttempt, write_trajectory
 from edge.trajectory.pursuit import MotionLimits
 from edge.types import Detections, Instance, Observation

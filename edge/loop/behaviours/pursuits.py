@@ -20,9 +20,9 @@ import numpy as np
 
 from edge import names
 from edge.geometry import SE2
-from edge.loop.goal import GoalTracker
-from edge.loop.known_goals import goal_at_place, goal_at_point, scores_towards
-from edge.loop.search_state import ProbableObject
+from edge.loop.goals.goal import GoalTracker
+from edge.loop.goals.known_goals import goal_at_place, goal_at_point, scores_towards
+from edge.loop.goals.search_state import ProbableObject
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, describe_location, known_objects
 from edge.mission.destinations import (
@@ -32,7 +32,7 @@ from edge.mission.destinations import (
     PlaceTarget,
     WaitTarget,
 )
-from edge.mission.language.spans import shown_s
+from edge.mission.language.words.spans import shown_s
 from edge.mission.run import PROBABLY, MissionRun
 from edge.policies.base import PolicyInput
 from edge.text import one_line

@@ -12,8 +12,8 @@ from edge.config import PolicySearch
 from edge.geometry import SE2
 from edge.loop.behaviours.pursuits import CheckAnswer, Pursuit, objects_found, time_left
 from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
-from edge.loop.goal import GoalTracker
-from edge.loop.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
+from edge.loop.goals.goal import GoalTracker
+from edge.loop.goals.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import RECOGNISED_KINDS, DescribedObject, MappedRoom, RoomSurvey, kind_of_room
 from edge.mission.destinations import (

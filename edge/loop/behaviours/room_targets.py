@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.loop.prior import LEAST, MOST
+from edge.loop.scoring.prior import LEAST, MOST
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, RoomMemory, Site
 from edge.mission.destinations import RoomTarget

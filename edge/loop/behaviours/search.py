@@ -27,7 +27,7 @@ from edge.loop.behaviours.tours import (
     EveryObjectPursuit,
     EveryRoomPursuit,
 )
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import parse_description
 from edge.mission.destinations import (
@@ -44,7 +44,7 @@ from edge.mission.run import MissionRun
 from edge.mission.travel_cost import TravelCostEstimator
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
-from edge.tasks.pipeline import GroundKinds
+from edge.tasks.scene.pipeline import GroundKinds
 from edge.types import Goal, Instance
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 from edge.config import Config
 from edge.geometry import SE2
 from edge.loop.behaviours.plan_worker import SAME_OBJECT_M
-from edge.loop.goal import MIN_IMAGES
+from edge.loop.goals.goal import MIN_IMAGES
 from edge.perception.tracking.instances import InstanceTracker
 from edge.types import Instance
 

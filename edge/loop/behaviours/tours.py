@@ -10,7 +10,7 @@ from edge import names
 from edge.loop.behaviours.pursuits import Pursuit, objects_found
 from edge.loop.behaviours.room_pursuits import ExploreRoomPursuit, SearchRoomPursuit
 from edge.loop.behaviours.room_targets import is_closed
-from edge.loop.goal import GoalTracker
+from edge.loop.goals.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, parse_description
 from edge.mission.destinations import EveryObjectTarget, EveryRoomTarget

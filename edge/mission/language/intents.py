@@ -13,15 +13,22 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, Union
 
-from edge.mission.language import nouns
-from edge.mission.language.everyday_words import NAME, NOWHERE, bare, is_room, is_vague, phrase_of
-from edge.mission.language.places import is_marked
 from edge.mission.language.remarks import has_order, is_remark
-from edge.mission.language.spans import seconds_of
-from edge.mission.language.templates import compile_templates, first_match
 from edge.mission.language.tidy import TidySpeech, strip_politeness, tidy_up
-from edge.mission.language.tokens import UnclearError
-from edge.mission.language.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
+from edge.mission.language.words import nouns
+from edge.mission.language.words.everyday_words import (
+    NAME,
+    NOWHERE,
+    bare,
+    is_room,
+    is_vague,
+    phrase_of,
+)
+from edge.mission.language.words.places import is_marked
+from edge.mission.language.words.spans import seconds_of
+from edge.mission.language.words.templates import compile_templates, first_match
+from edge.mission.language.words.tokens import UnclearError
+from edge.mission.language.words.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
 Topic = Literal["where", "exists", "count", "rooms", "places", "doing", "help", "seen", "self"]
 Learnt = Literal["place", "room", "forget", "keep_out", "stay_inside", "open"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from edge.mission.language.everyday_words import ARTICLE, phrase_of
-from edge.mission.language.lexicon import PAST, TABLE
-from edge.mission.language.templates import compile_templates, first_match
-from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
+from edge.mission.language.words.everyday_words import ARTICLE, phrase_of
+from edge.mission.language.words.lexicon import PAST, TABLE
+from edge.mission.language.words.templates import compile_templates, first_match
+from edge.mission.language.words.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 
 _MAY_DIRECT = re.compile(
     r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|"

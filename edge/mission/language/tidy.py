@@ -9,12 +9,12 @@ import re
 from dataclasses import dataclass
 
 from edge import number_words
-from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
-from edge.mission.language.lexicon import TABLE
 from edge.mission.language.remarks import SUBORDINATE, is_remark
-from edge.mission.language.spans import number_of
-from edge.mission.language.spelling import WORD, expand_word
-from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
+from edge.mission.language.words.everyday_words import ARTICLE, NAME, phrase_of
+from edge.mission.language.words.lexicon import TABLE
+from edge.mission.language.words.spans import number_of
+from edge.mission.language.words.spelling import WORD, expand_word
+from edge.mission.language.words.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations

@@ -1,8 +1,8 @@
 """Kind of room of a region, by the objects seen there; and likelihood of a target in it.
 
-The location prior (`edge.loop.prior`) and the rooms (`edge.memory.rooms`) use these functions. A
-class is a kind of object that the table has, such as chair. A region is a part of the map behind
-doors; it holds one room, or two without a wall between them.
+The location prior (`edge.loop.scoring.prior`) and the rooms (`edge.memory.rooms`) use these
+functions. A class is a kind of object that the table has, such as chair. A region is a
+part of the map behind doors; it holds one room, or two without a wall between them.
 """
 
 from __future__ import annotations

@@ -470,7 +470,7 @@ class MarksCard(_FileCard):
 
 
 class TranslateCard(_FileCard):
-    """A small network from instructions to formulas and back (`edge.mission.language.network`).
+    """A small network from instructions to formulas and back.
 
     `source` (1, n) int64 → `across` (2 x layers, 1, heads, n, d) float32; `target` (b, m) int64,
     `past` (2 x layers, b, heads, p, d) and `across_in` → `logits` (b, m, tokens) and `present`,

@@ -83,8 +83,8 @@ class Views:
         here_m: (n, t) float32, true driving distance from the robot to the nearest object of the
             kind.
         seen: (n, t) uint8, when an object of the kind was seen: `NEVER`, `BEFORE` or `NOW`.
-        lift: (n, MAX_MARKS, t) float32, likelihood ratio of `edge.loop.prior` for each mark, from
-            the objects seen so far. Only in held-out houses, since it takes time; 1 elsewhere.
+        lift: (n, MAX_MARKS, t) float32, likelihood ratio (`edge.loop.scoring.prior`) for each mark,
+            from the objects seen so far. Only in held-out houses, since it takes time; 1 elsewhere.
     """
 
     png: np.ndarray

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import yaml
 
-from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
-from edge.mission.language.spelling import expand_word
+from edge.mission.language.grammar.prefix_notation import MOST_NAMES, NAMES, REFUSED
+from edge.mission.language.words.spelling import expand_word
 
 PHRASES = Path(__file__).with_name("phrases.yaml")
 LETTERS = "abcde"
@@ -40,7 +40,7 @@ class Pair(NamedTuple):
 
     Attributes:
         words: the instruction, delexicalised: placeholders instead of names.
-        tokens: the formula in prefix notation (`edge.mission.language.prefix_notation`).
+        tokens: the formula in prefix notation (`edge.mission.language.grammar.prefix_notation`).
     """
 
     words: tuple[str, ...]

@@ -15,8 +15,15 @@ from torch import Tensor
 from edge.lab.eval.equivalence import distinguishing_trace, with_weak_untils
 from edge.lab.eval.translate import CLEAN_UP, LANG2LTL
 from edge.lab.eval.translation_cases import TranslationCase, clean_up_cases, lang2ltl_cases
-from edge.mission.language.delexicalisation import delexicalise_text
-from edge.mission.language.network import (
+from edge.mission.language.grammar.prefix_notation import (
+    MOST_NAMES,
+    NAMES,
+    OPERATORS,
+    REFUSED,
+    formula_of,
+)
+from edge.mission.language.networks.delexicalisation import delexicalise_text
+from edge.mission.language.networks.network import (
     END,
     MOST_TOKENS,
     MOST_WORDS,
@@ -26,8 +33,7 @@ from edge.mission.language.network import (
     TO_WORDS,
     UNKNOWN,
 )
-from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, OPERATORS, REFUSED, formula_of
-from edge.mission.language.tokens import TranslationError
+from edge.mission.language.words.tokens import TranslationError
 from edge.mission.logic.ltl import Formula, propositions, renamed
 from exporters.training.translator.compose import Composer, Pair, Phrases, delexicalised
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from edge.lab.eval.translate import OUTCOMES, score
 from edge.lab.eval.translation_cases import TranslationCase
-from edge.mission.language.model import NeuralTranslator
-from edge.mission.language.network import TranslationNetwork
+from edge.mission.language.networks.model import NeuralTranslator
+from edge.mission.language.networks.network import TranslationNetwork
 from edge.mission.translate import Translator, combined_backend, small_model_backend
 from exporters.training.results import took_ms
 

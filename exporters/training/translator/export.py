@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from edge.host.files import replace_atomically
-from edge.mission.language.network import MOST_WORDS, VOCABULARY
+from edge.mission.language.networks.network import MOST_WORDS, VOCABULARY
 from exporters.files import ExportError
 from exporters.onnx_format import check_format, cpu_session, trace_module
 from exporters.training.translator.data import Vocabulary

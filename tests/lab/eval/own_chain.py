@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.tasks.pipeline import PerceptionPipeline
+from edge.tasks.scene.pipeline import PerceptionPipeline
 from edge.types import Detections, Observation
 
 

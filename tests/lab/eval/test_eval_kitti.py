@@ -20,9 +20,9 @@ from edge.lab.eval.kitti import (
     solid_m,
     true_boxes,
 )
-from edge.tasks import terrain
-from edge.tasks.projection import in_picture, points_of_masks
-from edge.tasks.scene_builder import OFF_GROUND_M
+from edge.tasks.scene import terrain
+from edge.tasks.scene.projection import in_picture, points_of_masks
+from edge.tasks.scene.scene_builder import OFF_GROUND_M
 
 
 def test_an_empty_folder_has_no_frames(tmp_path):

@@ -6,9 +6,9 @@ from small_house import small_house
 
 from edge import names
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.tasks.map_scene import scene_of_map
-from edge.tasks.pipeline import open_pipeline
-from edge.tasks.scene_builder import SceneBuilder
+from edge.tasks.scene.map_scene import scene_of_map
+from edge.tasks.scene.pipeline import open_pipeline
+from edge.tasks.scene.scene_builder import SceneBuilder
 
 
 def test_a_scene_description_agrees_with_the_world(tmp_path):

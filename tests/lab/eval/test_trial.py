@@ -17,7 +17,7 @@ from edge.cli.main import main
 from edge.config import load
 from edge.lab.eval.trial.scene_capture import capture_street
 from edge.lab.eval.trial.task_run import run_task
-from edge.tasks.value_map import closed_cells
+from edge.tasks.scene.value_map import closed_cells
 
 PICTURES = ["objects.png", "camera.png", "map.png", "scene.html"]
 GOOD = """The red car is the first that det_object gives.

@@ -26,8 +26,8 @@ from edge.mission.planning.plan import DEAD
 from edge.mission.translate import Translation
 from edge.tasks.facts import TaskStatus
 from edge.tasks.refine import refine
-from edge.tasks.scene import Region, Scene
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.scene import Region, Scene
+from edge.tasks.scene.value_map import PathMargins
 from edge.types import Detections, Goal, Instance, MissionEvent, MissionStatus, Observation
 
 MS = 1_000_000

@@ -11,7 +11,7 @@ from edge.config import load
 from edge.lab.report import trajectory_map
 from edge.lab.report.camera_picture import REFINED_RGB, draw_trajectory
 from edge.tasks.refine import refine
-from edge.tasks.value_map import PathMargins, value_map
+from edge.tasks.scene.value_map import PathMargins, value_map
 from edge.trajectory.pursuit import MotionLimits
 
 AHEAD_M = np.column_stack([np.linspace(0.0, 6.0, 60), np.zeros(60), np.zeros(60)])

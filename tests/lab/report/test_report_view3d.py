@@ -17,8 +17,8 @@ from chromium import Tab, open_chromium
 from edge.geometry import SE2, Grid
 from edge.lab.report.view3d import VOXEL_M, coarse_and_refined, scene_page
 from edge.tasks.refine import RefinedTrajectory, refine
-from edge.tasks.scene import Region, Scene, SceneObject
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.scene import Region, Scene, SceneObject
+from edge.tasks.scene.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 COARSE_M = np.array([[0.0, 0.0], [6.0, 3.0], [12.0, 0.0]])

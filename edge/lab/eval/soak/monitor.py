@@ -22,8 +22,8 @@ from edge.host.processes import usage
 from edge.lab.eval.soak import jitter
 from edge.lab.eval.soak.harness import SoakHarness
 from edge.lab.eval.soak.recordings import RecordingCheck
-from edge.loop.map_checkpoint import MAP, SUFFIX
-from edge.loop.service_health import PROBES
+from edge.loop.checkpoints.map_checkpoint import MAP, SUFFIX
+from edge.loop.monitoring.service_health import PROBES
 from edge.mission.checkpoint import MISSION
 from edge.text import read_json_object
 

@@ -39,14 +39,14 @@ from edge.lab.eval.trajectories.references import (
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.generator.rng import PortableRng
 from edge.perception.embedding.text import PromptError
-from edge.tasks import terrain
-from edge.tasks.captions import place_of
-from edge.tasks.ground import reachable
-from edge.tasks.objects import box_around
-from edge.tasks.pipeline import PerceptionPipeline
-from edge.tasks.reading import named_objects
-from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.value_map import open_cells
+from edge.tasks.scene import terrain
+from edge.tasks.scene.captions import place_of
+from edge.tasks.scene.ground import reachable
+from edge.tasks.scene.objects import box_around
+from edge.tasks.scene.pipeline import PerceptionPipeline
+from edge.tasks.scene.scene import Scene, SceneObject
+from edge.tasks.scene.value_map import open_cells
+from edge.tasks.sentences.reading import named_objects
 from edge.text import one_line
 
 PLACE_FORMS = "streets[0:200], kitti:FOLDER, house:CONFIG"

@@ -34,9 +34,9 @@ from edge.mission.translate import TranslationError
 from edge.tasks.functions import Point, ScriptFunctions
 from edge.tasks.legs import RefineError
 from edge.tasks.refine import refine
-from edge.tasks.scene import Scene
+from edge.tasks.scene.scene import Scene
+from edge.tasks.scene.value_map import PathMargins
 from edge.tasks.trajectory import TrajectoryError, coarse_of
-from edge.tasks.value_map import PathMargins
 from edge.tasks.write import WriteError, WrittenTrajectory, write_trajectory
 from edge.text import one_line
 from edge.trajectory.pursuit import MotionLimits

@@ -31,9 +31,9 @@ from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays, box_distances_m
 from edge.lab.sim.boxworld import Primitive, geometry_row
 from edge.lab.sim.generator.rng import PortableRng
 from edge.lab.sim.street import Street, StreetObject, solids, street
-from edge.tasks.ground import reachable
-from edge.tasks.scene import Region, Scene, SceneObject
-from edge.tasks.value_map import closed_cells
+from edge.tasks.scene.ground import reachable
+from edge.tasks.scene.scene import Region, Scene, SceneObject
+from edge.tasks.scene.value_map import closed_cells
 
 CELL_M = 0.2  # side of a cell of the grids
 ROBOT_M = 0.4  # radius of the robot

@@ -41,7 +41,7 @@ from scipy.spatial import cKDTree
 from edge import names
 from edge.geometry import SE2, Grid
 from edge.lab.sim.generator.rng import PortableRng
-from edge.tasks.value_map import closed_cells
+from edge.tasks.scene.value_map import closed_cells
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
 

@@ -27,7 +27,7 @@ from edge.lab.eval.trajectories.outcomes import (
 )
 from edge.lab.eval.trial.scene_capture import detector_pipeline
 from edge.lab.report import canvas
-from edge.tasks.pipeline import PerceptionPipeline
+from edge.tasks.scene.pipeline import PerceptionPipeline
 from edge.text import one_line
 
 RERUN = "crashed"

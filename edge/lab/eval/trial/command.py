@@ -18,7 +18,7 @@ from edge.lab.eval.trial.scene_capture import (
 )
 from edge.lab.eval.trial.task_run import TaskRun, run_task
 from edge.tasks.mission_spec import known_names
-from edge.tasks.reading import named_objects
+from edge.tasks.sentences.reading import named_objects
 from edge.tasks.write import check_instruction
 from edge.text import format_table, one_line
 

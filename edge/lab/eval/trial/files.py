@@ -18,8 +18,8 @@ from edge.lab.eval.trial.task_run import TaskRun, ground_heights_m
 from edge.lab.report import camera_picture, trajectory_map
 from edge.lab.report.recorder import machine
 from edge.lab.report.view3d import Line, coarse_and_refined, scene_page
-from edge.tasks.picture import draw_marks
 from edge.tasks.prompt import annotated_jpeg, system_prompt, task_text
+from edge.tasks.scene.picture import draw_marks
 from edge.text import one_line
 
 # Names of the files; MODEL is a folder with what a model got and answered.

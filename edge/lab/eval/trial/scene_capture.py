@@ -20,10 +20,10 @@ from edge.lab.sim.street import Street, street
 from edge.lab.sim.worlds import load_world
 from edge.perception.detection.sim import Segmentation, TruthAt
 from edge.perception.masks.ground import make_ground_classifier
-from edge.tasks.on_demand import FrameDetector
-from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks, open_pipeline
-from edge.tasks.scene import Scene
-from edge.tasks.scene_builder import SceneBuilder
+from edge.tasks.scene.on_demand import FrameDetector
+from edge.tasks.scene.pipeline import PerceptionPipeline, boxes_as_masks, open_pipeline
+from edge.tasks.scene.scene import Scene
+from edge.tasks.scene.scene_builder import SceneBuilder
 from edge.text import one_line
 from edge.types import MASK_SIDE, Detections, Observation
 

@@ -11,11 +11,12 @@ import numpy as np
 from edge.config import Config, WriterModel
 from edge.errors import UserError
 from edge.lab.eval.trial.scene_capture import SceneCapture
-from edge.tasks import rules, terrain
+from edge.tasks import rules
 from edge.tasks.functions import ScriptFunctions
 from edge.tasks.refine import RefinedTrajectory, refine
-from edge.tasks.scene import SceneObject
-from edge.tasks.value_map import PathMargins, value_map
+from edge.tasks.scene import terrain
+from edge.tasks.scene.scene import SceneObject
+from edge.tasks.scene.value_map import PathMargins, value_map
 from edge.tasks.write import PlanAttempt, WrittenTrajectory, write_trajectory
 from edge.trajectory.costmap import CostMap
 from edge.trajectory.pursuit import MotionLimits

@@ -10,8 +10,8 @@ import pytest
 from edge.lab.eval.trajectories.episodes import episodes
 from edge.lab.eval.trajectory_metrics import contacts
 from edge.perception.embedding.text import PromptError
-from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
-from edge.tasks.reading import named_objects
+from edge.tasks.scene.pipeline import PerceptionPipeline, boxes_as_masks
+from edge.tasks.sentences.reading import named_objects
 from edge.types import Detections
 
 SOURCES = {

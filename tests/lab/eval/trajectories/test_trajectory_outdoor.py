@@ -11,7 +11,7 @@ import pytest
 from edge.lab.eval.trajectories.outdoor import MIN_POINTS, ROBOT_M, outdoor_episode
 from edge.lab.eval.trajectory_metrics import trajectory_scores
 from edge.tasks.refine import refine
-from edge.tasks.value_map import PathMargins
+from edge.tasks.scene.value_map import PathMargins
 from edge.trajectory.pursuit import MotionLimits
 
 NUMBERS = range(16)

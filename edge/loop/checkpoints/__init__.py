@@ -1,0 +1,1 @@
+"""Checkpoints: mission and map on disk, and back after a restart."""

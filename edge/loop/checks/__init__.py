@@ -1,0 +1,1 @@
+"""Checks of the sensors' data: poses, depth against motion, frames."""

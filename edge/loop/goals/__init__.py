@@ -1,0 +1,1 @@
+"""Current goal: candidates, choice, tracking until the controller answers."""

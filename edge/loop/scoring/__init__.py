@@ -1,0 +1,1 @@
+"""Scores of candidates by vision-language models and by the prior."""

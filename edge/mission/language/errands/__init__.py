@@ -1,0 +1,1 @@
+"""Errands: rewrite everyday requests (bring, check, tour, look for) into plain instructions."""

@@ -1,0 +1,1 @@
+"""Grammar: reads an instruction and builds its formula, and describes formulas in English."""

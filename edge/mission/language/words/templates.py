@@ -1,0 +1,110 @@
+"""Sentence templates: patterns of everyday sentences, written as text.
+
+The modules `intents`, `errands` and `remarks` compile them to regular expressions. An example:
+
+    where (is|are) <object> [now|exactly]*
+
+- `(a|b)` is a choice, `[a|b]` may be left out, and `*` after one of these repeats it any number of
+  times.
+- `<object>` is a slot: a name of up to five words, with or without an article. The match has its
+  text as a named group. So is each slot that is not in the next list.
+- `<stops>` is a list of names, `<each>` means several rooms, such as "all bedrooms", `<own>` is a
+  name with "the" or "my", `<count>` a number, `<often>` once or twice, `<relation>` a word such as
+  "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten minutes".
+- `{seen}` is another template, by its name in a table of parts.
+- `,` is a comma that may be left out, and `...` is any rest that begins no new order.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from edge.mission.language.words.everyday_words import EACH_ROOM, MARK, NAME, PLAIN_NAME, phrase_of
+from edge.mission.language.words.spans import COUNT, DURATION
+
+_TOKEN = re.compile(r"<(?P<slot>\w+)>|\{(?P<part>\w+)\}|(?P<rest>\.\.\.)|(?P<mark>[()\[\]|*,])"
+                    r"|(?P<word>[^\s()\[\]|*,<{]+)")  # fmt: skip
+STOP = rf"(?:,? (?:and then|and|then|to|or) |, | (?={MARK}|the ))"
+"""Regular expression for what separates the names of a list."""
+_SLOTS = {
+    "span": DURATION,
+    "count": COUNT,
+    "often": r"(?:once|twice|thrice)",
+    "relation": phrase_of("relation"),
+    "done": r"\w+(?:ed|ing)",
+    "each": EACH_ROOM,
+    "own": rf"(?:the|my|our|your|his|her|their) {PLAIN_NAME}",
+    "stops": rf"{NAME}(?:{STOP}{NAME})+",
+}
+_MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}
+_ORDER = (
+    r"(?:(?:do )?not )?(?:go|come|drive|head|run|move|visit|explore|patrol|check|look|search|stay|"
+    r"keep|enter|leave|return|wait|bring|fetch|take|get|not (?:the|an?|my|to))\b"
+)
+# Matches after " i ", " to " and the like. So `...` goes on at the "go" of "because I go out", but
+# ends before the "go" of "because it rains go home".
+_HAS_SUBJECT = "|".join(
+    f"(?<= {word} )"
+    for word in ("i", "we", "you", "he", "she", "they", "people", "to", "can", "will", "would")
+)
+_REST = (
+    r"(?: (?!(?:then|and|or|but|find|instead|first|never|avoid|without|except|\.)(?: |$))"
+    rf"(?:(?!{_ORDER})|{_HAS_SUBJECT})[^\s,;]+)*"
+)
+"""The words for `...`: any rest that begins no order, as in "because I go out"."""
+END = r"(?=[ ,.;!?]|$)"
+"""End of a word."""
+
+
+def pattern(template: str, parts: Mapping[str, str]) -> str:
+    """Return the regular expression of a template, in which each word follows a space.
+
+    Args:
+        template: see the module.
+        parts: name -> template, for `{name}`.
+
+    Example:
+        >>> re.fullmatch(pattern("stop [now]*", {}), " stop now now") is not None
+        True
+    """
+    pieces = []
+    for token in _TOKEN.finditer(template):
+        if slot := token["slot"]:
+            pieces.append(f" (?P<{slot}>{_SLOTS.get(slot, NAME)})")
+        elif token["part"]:
+            pieces.append(f"(?:{pattern(parts[token['part']], parts)})")
+        elif token["rest"]:
+            pieces.append(_REST)
+        elif token["mark"]:
+            pieces.append(_MARKS[token["mark"]])
+        else:
+            pieces.append(f" {re.escape(token['word'])}")
+    return re.sub(r"\)\?\*", ")*", "".join(pieces))  # "[a]*" gave "(?: a)?*"
+
+
+def compile_templates(templates: str, parts: Mapping[str, str]) -> list[re.Pattern[str]]:
+    """Return the patterns of several templates, in their order.
+
+    A pattern matches at a space before its first word, up to the end of a word.
+
+    Args:
+        templates: one template for each line; a line with 12 spaces or more before it continues the
+            line before it.
+        parts: see `pattern`.
+    """
+    lines: list[str] = []
+    for line in filter(str.strip, templates.splitlines()):
+        if line.startswith(" " * 12) and lines:
+            lines[-1] += f" {line.strip()}"
+        else:
+            lines.append(line.strip())
+    return [re.compile(pattern(line, parts) + END, re.I) for line in lines]
+
+
+def first_match(patterns: list[re.Pattern[str]], text: str) -> dict[str, str] | None:
+    """Return the slots of the first pattern that fits the entire text; None if none does."""
+    for candidate in patterns:
+        if found := candidate.fullmatch(f" {text}"):
+            return {slot: name for slot, name in found.groupdict().items() if name is not None}
+    return None

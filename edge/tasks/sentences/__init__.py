@@ -1,0 +1,1 @@
+"""Sentences about paths: read by rules, written as steps."""
