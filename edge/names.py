@@ -331,12 +331,15 @@ def plural(phrase: str) -> str:
 
     >>> plural("dining chair"), plural("box"), plural("toy shelf"), plural("scissors")
     ('dining chairs', 'boxes', 'toy shelves', 'scissors')
+    >>> plural("bookshelf"), plural("penknife"), plural("roof"), plural("jeans")
+    ('bookshelves', 'penknives', 'roofs', 'jeans')
     """
     head, space, last = phrase.rpartition(" ")
-    if last in _PAIRS or phrase in _EYEGLASSES:
+    if last in _PAIRS or phrase in _EYEGLASSES or singular(last) != last:
         return phrase
     ending = "es" if last.endswith(("s", "x", "ch", "sh")) else "s"
-    regular = re.sub(r"(?<![aeiou])y$", "ie", last) + ending
+    stem = re.sub(r"(?<=el|al|ea|oa|ar|ni|li|wi)(?:f|fe)$", "ve", last)
+    regular = re.sub(r"(?<![aeiou])y$", "ie", stem) + ending
     return head + space + next((many for many, one in _PLURALS.items() if one == last), regular)
 
 

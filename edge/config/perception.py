@@ -10,17 +10,20 @@ from edge import names
 from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
 
 
-class DetectorOnnx(OnnxModel):
+class DetectorOnnx(Section):
     """An ONNX model as detector.
 
     Attributes:
         model: name of its card in `models/`.
-        providers: as of any `OnnxModel`; or `tensorrt` alone: TensorRT without onnxruntime.
+        providers: execution providers of onnxruntime, best first; or `tensorrt` alone: TensorRT
+            without onnxruntime.
+        threads: CPU threads of the model.
         vocabulary: file of text embeddings (.npz). null: `$EDGE_VOCABULARY`, or the one of the
             model cache.
         background: names of other objects in the place. They compete with the targets for boxes, so
             that a bed is not taken for a sofa.
         tau_vl: boxes with a lower score are dropped.
+        device_id: number of the GPU.
         engine_cache: folder of TensorRT engines; null: next to the models.
         fallback: card of a detector on this computer. It detects while the server of `model` gives
             no answer within 1.5 s (docs/remote.md); for a model on this computer it has no effect.
@@ -28,9 +31,12 @@ class DetectorOnnx(OnnxModel):
 
     kind: Literal["onnx"] = "onnx"
     model: str = "yolo-world-s-256x320-int8-cpu"
+    providers: tuple[str, ...] = ("CPUExecutionProvider",)
+    threads: Annotated[int, Field(ge=1, le=64)] = 2
     vocabulary: str | None = None
     background: tuple[str, ...] = ()
     tau_vl: Fraction = 0.05
+    device_id: Annotated[int, Field(ge=0)] = 0
     engine_cache: str | None = None
     fallback: str | None = None
 

@@ -82,8 +82,10 @@ class PolicySearch(_Selection):
     spin: bool = True
 
 
-class _ScoreNearby(_Selection):
-    """The frontier with the best score nearby.
+class PolicyVlfm(_Selection):
+    """The frontier with the best image-text score nearby (VLFM).
+
+    It needs `perception.similarity`.
 
     Attributes:
         radius_m: scores within this distance of a frontier count for it.
@@ -91,21 +93,27 @@ class _ScoreNearby(_Selection):
             only decides between equal scores.
     """
 
+    kind: Literal["vlfm"] = "vlfm"
     switch_margin: NonNegative = 0.05
     radius_m: Positive = 0.5
     nearness: Positive = 1e-3
 
 
-class PolicyVlfm(_ScoreNearby):
-    """The best image-text score nearby (VLFM). It needs `perception.similarity`."""
+class PolicyDirectional(_Selection):
+    """The frontier with the best directional score nearby (ViTL eq. 9).
 
-    kind: Literal["vlfm"] = "vlfm"
+    It needs `perception.choice`.
 
-
-class PolicyDirectional(_ScoreNearby):
-    """The best directional score nearby (ViTL eq. 9). It needs `perception.choice`."""
+    Attributes:
+        radius_m: scores within this distance of a frontier count for it.
+        nearness: weight of 1 / (1 m + path length), which is added to the score. The small default
+            only decides between equal scores, as in the paper.
+    """
 
     kind: Literal["directional"] = "directional"
+    switch_margin: NonNegative = 0.05
+    radius_m: Positive = 0.5
+    nearness: Positive = 1e-3
 
 
 class PolicyAdaptive(_Selection):

@@ -68,6 +68,7 @@ def test_the_text_decides(text, meant):
         ("wait 25 hours", "up to 24 h"),
         ("explored for some min", "^some min: expected a time"),
         ("explored map", "map: no room has this name, .*; give a room this name first"),
+        ("every chair 2 of 3", "say 'every' or a number, not both"),
         ("every pantry", "pantry: no room has this name"),
         ("check mug in pantry", "pantry: no room has this name"),
         ("caller", "caller: the request does not say where the caller is; send from_pose"),

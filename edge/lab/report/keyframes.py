@@ -36,20 +36,19 @@ class KeyframeBuffer:
         if self._capacity == 0 or detections.observation.rgb is None:
             return
         stamp_ns = detections.observation.stamp_ns
-        frame = _copy(detections, targets)
         is_soon = self._taken_ns is not None and 0 <= stamp_ns - self._taken_ns < FRAME_NS
         if is_soon:
-            if not self._better_than_last(frame):
+            if not self._better_than_last(detections, targets):
                 return
             self._frames = [f for f in self._frames if f.stamp_ns != self._taken_ns]
-        self._frames.append(frame)
+        self._frames.append(_copy(detections, targets))
         self._taken_ns = stamp_ns
         if len(self._frames) > self._capacity:
             self._frames.remove(self._next_to_drop())
 
-    def _better_than_last(self, frame: Keyframe) -> bool:
+    def _better_than_last(self, detections: Detections, targets: Sequence[str]) -> bool:
         last = [f.target_score for f in self._frames if f.stamp_ns == self._taken_ns]
-        return frame.target_score > (last[0] if last else 0.0) + BETTER_SCORE
+        return _target_score(detections, targets) > (last[0] if last else 0.0) + BETTER_SCORE
 
     def _next_to_drop(self) -> Keyframe:
         """Return the least useful frame that is no best view."""
@@ -76,6 +75,16 @@ class KeyframeBuffer:
     def frames(self) -> tuple[Keyframe, ...]:
         """Return the kept frames in order of time."""
         return tuple(sorted(self._frames, key=lambda f: f.stamp_ns))
+
+
+def _target_score(detections: Detections, targets: Sequence[str]) -> float:
+    """Return the score of the best box of a target; 0 without one."""
+    wanted = [
+        i for i, prompt in enumerate(detections.prompts) if names.same_as_any(prompt, targets)
+    ]
+    if not wanted or not len(detections):
+        return 0.0
+    return float(detections.score[np.isin(detections.class_id, wanted)].max(initial=0.0))
 
 
 def _copy(detections: Detections, targets: Sequence[str]) -> Keyframe:

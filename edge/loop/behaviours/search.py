@@ -130,9 +130,7 @@ class SearchBehaviour:
         """Check the goal; fail the target if the search for it is exhausted."""
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
-        if mission.progress.round != self._round:  # "two chairs" may be the same in each round
-            self._round = mission.progress.round
-            self._map.tracker.forget_verdicts(rejected=False)
+        self._forget_last_round()
         only_confirmed = not self._config.policy.instances
         seen = newest_ids(self._map.tracker, self._object_targets, only_confirmed)
         mission.on_detections(seen | known_targets(mission, self._map), now_ns)
@@ -141,6 +139,13 @@ class SearchBehaviour:
             self._travel_costs.step(mission, grid, self._map.tracker, pose, now_ns)
         if goals.follows(mission) and mission.active:
             self._pursuit.check_progress(context, images)
+            self._forget_last_round()
+
+    def _forget_last_round(self) -> None:
+        """Forget which objects the last round reached, since a new round counts them again."""
+        if self._mission.progress.round != self._round:
+            self._round = self._mission.progress.round
+            self._map.tracker.forget_verdicts(rejected=False)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Return the goal that the pursuit of the active target chooses."""

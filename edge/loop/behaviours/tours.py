@@ -108,7 +108,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
 class EveryObjectPursuit(Pursuit[EveryObjectTarget]):
     """Pursuit of all objects of a name: go to each one, and explore until nothing is left.
 
-    It ends then: retries would visit what is out of reach, or rather another object, for minutes.
+    It ends then: retries would go on for minutes, to objects that are out of reach or doubtful.
     """
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
@@ -133,24 +133,25 @@ class EveryObjectInRoomPursuit(SearchRoomPursuit):
 
 
 def end_with_count(mission: MissionRun, semantic_map: SemanticMap, now_ns: int) -> None:
-    """End the search for all objects of a name with their number and places."""
+    """End the search for all objects of a name with their number and places.
+
+    None found is an answer, too: the mission goes on.
+    """
     destination = mission.destinations[mission.target]
     assert isinstance(destination, EveryObjectTarget)
     described = parse_description(destination.name)
     noun = destination.name if described is None else described.noun
     tracker, rooms = semantic_map.tracker, semantic_map.rooms
-    known = tracker.of(destination.name, only_confirmed=True, doubted=False)
-    found = [one for one in known if one.state == "reached"]
+    found = [one for one in tracker.of(destination.name) if one.state == "reached"]
     missed = len(tracker.of(mission.target, only_confirmed=True, doubted=False))
-    near = len(known) - len(found) - missed
-    end = f"; did not get to {missed} more" if missed else ""
-    end += f"; {near} more may be parts of these" if near else ""
-    if not found:
-        text = f"explored all reachable space, found no {noun}{end}"
-        mission.abandon_target(one_line(text), now_ns)
-        return
+    known = tracker.of(destination.name, only_confirmed=True, doubted=False)
+    near = sum(one.state != "reached" for one in known) - missed
+    names_of = noun if len(found) == 1 else names.plural(noun)
+    text = f"found {len(found) or 'no'} {names_of if found else noun}"
+    others = [f"did not get to {missed} more"] if missed else []
+    others += [f"{near} more may be parts of these"] if near > 0 else []
+    text += f" ({'; '.join(others)})" if others else ""
     at_m = [one.center_m[:2].tolist() for one in found]
     places = [f"{rooms.room_phrase(x, y)} at ({x:.1f}, {y:.1f})".lstrip() for x, y in at_m]
-    names_of = noun if len(found) == 1 else names.plural(noun)
-    text = one_line(f"found {len(found)} {names_of}: {', '.join(places)}{end}", 400)
+    text = one_line(": ".join(filter(None, (text, ", ".join(places)))), 1000)
     mission.on_reached(text, now_ns, text)

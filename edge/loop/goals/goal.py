@@ -252,7 +252,7 @@ class GoalTracker:
             evidence = f"confirmed, seen in {instance.hits} images"
             if not isinstance(mission.destinations.get(label), EveryObjectTarget):
                 mission.on_reached(evidence, now_ns)
-            elif is_new:  # in this tick, it may be chosen again
+            elif is_new:  # else it was chosen again before it was marked
                 x_m, y_m, _ = instance.center_m
                 text = f"found: {instance.label} at ({x_m:.1f}, {y_m:.1f}) ({evidence})"
                 mission.log_event(now_ns, "seen", label, text)

@@ -64,16 +64,17 @@ EVERY_ROOM = """
     {then} {goes} (visit|enter|tour|see|check [on|out|in]|{drive} {over} (in|to|into|through)|
             look (in|into|inside|at)|(have|take) a look (in|into|inside|at)|{look}) <each> [{turn}]
 """
+_TOUR_WORDS = r"\b(?: (?!not|never|avoid|except)[^ .;!?]+)*?"
 # "patrol the house except the bathroom", "visit all rooms, but not the kitchen"
 ALL_BUT = re.compile(
-    r"^(?P<lead>(?:.*(?:[.;,]| and| then))?)(?P<order> (?:go|drive|visit|enter|tour|see|check|look|"
-    r"explore|patrol|guard|scan|map|survey|search|inspect|scout)\b(?: (?!not|never|avoid|except)"
-    rf"[^ .;!?]+)*? (?:{EACH_ROOM}|everything|everywhere|(?:the|this|our|my|all)(?: whole| "
-    r"entire)? (?:house|home|flat|apartment|building|floor|place|ward|warehouse|rooms))\b"
-    r"[^.;!?,]*?),? "
-    r"(?:(?P<except>(?:except|excluding|other than|apart from)(?: for)?|but(?: not)?)|"
-    r"(?:but |and )?(?:avoid|(?:stay|keep) out of|(?:do not|never|without) (?:go(?:ing)?|"
-    r"driv(?:e|ing)|enter(?:ing)?)(?: (?:in|into|to|inside))?))"
+    r"^(?P<lead>(?:.*(?:[.;,]| and| then))?)(?P<order> (?:(?:go|drive|visit|enter|tour|see|check|"
+    rf"look|search){_TOUR_WORDS} (?:{EACH_ROOM}|everything|everywhere|all(?: the| our| my)? rooms)|"
+    rf"(?:explore|patrol|guard|scan|map|survey|inspect|scout){_TOUR_WORDS} (?:{EACH_ROOM}|"
+    r"everything|everywhere|(?:the|this|our|my|all)(?: whole| entire)? (?:house|home|flat|"
+    r"apartment|building|floor|place|ward|warehouse|rooms)))\b"
+    r"(?: (?!then\b|before\b|after)[^ .;!?,]+)*?),? "
+    r"(?:(?:except|excluding|other than|apart from)(?: for)?|but(?: not)?|"
+    r"without (?:going|driving|entering)(?: (?:in|into|to|inside))?)"
     rf" (?P<left_out>{NAME}(?:(?:,? (?:and|or) |, ){NAME})*)"
     r"(?=[,.;!?]|$| (?:and|then|for|until|once|twice|\w+ times)\b)",
     re.I,
@@ -302,7 +303,7 @@ FIRST_REWRITES = (
                 r" (?:where|(?:in )?(?:which|what) room) (?:it|they) (?:is|are|was|were)(?: in)?)?"
                 r"(?=[.!]*$)", re.I), ""),
     # "count the chairs", "go and see how many chairs there are in the hall"
-    (re.compile(r"\bcount(?: up)?(?: all)?(?: of)? (?=(?:the|our|my|these|those) )", re.I),
+    (re.compile(r"\bcount(?: up)?(?: all)?(?: of)? (?=(?:the|our|my|these|those) |\w+s\b)", re.I),
      "find all "),
     (re.compile(r"(?<= )(?:count|(?:go (?:and )?)?(?:find out|see|check|work out|determine|count)) "
                 rf"how many (?P<object>{PLAIN_NAME})(?: (?:there are|are there|you (?:can )?(?:see|"
@@ -366,7 +367,11 @@ BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 EVERYTHING = phrase_of("everything")
 # "go to the kitchen, and then …"
-GONE_TO = re.compile(rf"\b(?:to|in|into) (?:the )?(?P<name>{PLAIN_NAME}),?(?: and)? ?$", re.I)
+GONE_TO = re.compile(
+    rf"{_CLAUSE_START}(?:{phrase_of('go to')}|(?:go|drive|move|head) (?:to|into)) (?:the )?"
+    rf"(?P<name>{PLAIN_NAME}),?(?: and)? ?$",
+    re.I,
+)
 # "find two chairs in the kitchen", "find all chairs"
 COUNTED = re.compile(
     r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then)) )(?:(?:go|drive|head|move|run|roll)(?: over)? to|"

@@ -176,6 +176,8 @@ def _rewrite_another(found: re.Match[str]) -> str | None:
     is_other = found["same"] is None or found["same"].lower() == "one"
     if is_other and re.search(rf"\b{ARTICLE}\b", between):
         return None  # "find a chair, go to the desk, then find another one"
+    if re.search(r"\b(?:and|or) (?!wait\b)", between):
+        return None  # "find a mug and go to the dock, then find another mug"
     if patterns.BAN.search(between) or None in wheres or not _is_countable(noun):
         return None
     one, two = (f'"{noun} {n} of 2{where}"' for n, where in enumerate(wheres, 1))
@@ -214,11 +216,24 @@ def _rewrite_counted(found: re.Match[str]) -> str | None:
         where = relation_text("in", room) if room and is_room(room) else where
         if (names.singular(last) == last) == (how_many == "all") or noun in (*NOWHERE, "landmark"):
             return None  # "all chair", "every floor"
+        _refuse_more_of_each(found)
         return f'{found["lead"]}find "every {noun}{where}"'
     if not 2 <= count <= MAX_COUNT or names.singular(last) == last:
         return None
     goals = (f'find "{noun} {n} of {count}{where}"' for n in range(1, count + 1))
     return found["lead"] + ", then ".join(goals)
+
+
+def _refuse_more_of_each(found: re.Match[str]) -> None:
+    """Refuse work at each object, and more names or rooms, after "find all chairs"."""
+    rest = found.string[found.end() :]
+    if re.match(r"[^.;!?]*\bthere\b", rest) or patterns.IN_EACH.match(rest):
+        hint = "the robot goes to each one; it can do no more there"
+        raise unclear(f"{found[0]}{rest}".strip(), hint)
+    joint = r"(?:,| and| then)+"
+    more = re.match(rf"{joint} (?P<where>in|all|each|every)?(?P<name>.*?)(?=[,.;!?]| and|$)", rest)
+    if more is not None and (more["where"] or nouns.unknown_in(bare(more["name"]).split()) is None):
+        raise unclear(more[0].strip(" ,"), "unclear what of it is meant; say 'find all …' for each")
 
 
 def _rewrite_hinted(found: re.Match[str]) -> str | None:

@@ -6,6 +6,7 @@ import re
 
 from edge.memory import RECOGNISED_KINDS, kind_of_room
 from edge.mission.language.errands import errand_patterns as patterns
+from edge.mission.language.words import nouns
 from edge.mission.language.words.everyday_words import (
     EACH_ROOM,
     EACH_ROOM_AND,
@@ -26,12 +27,17 @@ _JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an explorati
 
 
 def rewrite_all_but(found: re.Match[str]) -> str | None:
-    """Return "explore the house except the bathroom" with the ban first."""
-    for name in map(bare, re.split(r",? (?:and|or) |, ", found["left_out"])):
+    """Return "explore the house except the bathroom" with the ban first.
+
+    None if the first name is no room, or another one is unknown.
+    """
+    for number, name in enumerate(map(bare, re.split(r",? (?:and|or) |, ", found["left_out"]))):
         known = is_marked(name) or kind_of_room(name) in RECOGNISED_KINDS
-        if not (known or re.fullmatch(r"room \w+", name)):
-            if found["except"] and is_room(name):
-                raise unclear(name, "no room has this name; give a room this name first")
+        if known or re.fullmatch(r"room \w+", name):
+            continue
+        if is_room(name):
+            raise unclear(name, "no room has this name; give a room this name first")
+        if number == 0 or nouns.unknown_in(name.split()) is not None:
             return None
     return f"{_LEFT_OUT} {found['left_out']}.{found['lead']}{found['order']}"
 

@@ -219,7 +219,7 @@ QUESTIONS = {
         [{tell}] how many <object> {you} count {in} {last}
         [{tell}] how many <object> (are|is) {in} {last}
         [{tell}] how many <object> there are {in} {last}
-        how many <object>
+        [{tell}] how many <object> {in} {last}
     """,
 }
 """Topic of `MemoryQuestion` → its templates."""
