@@ -79,13 +79,13 @@ def test_detected_objects_change_the_scene_score(scorer):
 
 def test_the_second_question_reuses_the_prompt_cache(scorer, monkeypatch):
     timings = []
-    read = scorer._client._parse_log_probabilities
+    read = scorer._model._client._parse_log_probabilities
 
     def note(reply):
         timings.append(json.loads(reply.body)["timings"])
         return read(reply)
 
-    monkeypatch.setattr(scorer._client, "_parse_log_probabilities", note)
+    monkeypatch.setattr(scorer._model._client, "_parse_log_probabilities", note)
     put_to(scorer, view("piano", 5, (DetectedObject("stove", 0.0, 4.0),)))
     _, second = timings
     assert second["cache_n"] > second["prompt_n"]
