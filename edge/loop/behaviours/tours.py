@@ -146,8 +146,7 @@ def end_with_count(mission: MissionRun, semantic_map: SemanticMap, now_ns: int) 
     missed = len(tracker.of(mission.target, only_confirmed=True, doubted=False))
     known = tracker.of(destination.name, only_confirmed=True, doubted=False)
     near = sum(one.state != "reached" for one in known) - missed
-    names_of = noun if len(found) == 1 else names.plural(noun)
-    text = f"found {len(found) or 'no'} {names_of if found else noun}"
+    text = f"found {len(found) or 'no'} {noun if len(found) < 2 else names.plural(noun)}"
     others = [f"did not get to {missed} more"] if missed else []
     others += [f"{near} more may be parts of these"] if near > 0 else []
     text += f" ({'; '.join(others)})" if others else ""
