@@ -17,13 +17,13 @@ import numpy as np
 from edge import names
 from edge.geometry import Grid
 from edge.live.trail import DrivenPath
-from edge.loop.result import Event, MissionFacts, ScoredCandidates, TickResult
+from edge.loop.result import Event, TickResult
 from edge.memory import KnownObject, MappedRoom, Site
 from edge.perception.scoring.choice.picture import visible_marks
 from edge.perception.scoring.choice.question import LETTERS, FrontierChoice
 from edge.policies.base import FRONTIER
 from edge.tasks.facts import TaskStatus, same_text
-from edge.types import Detections, Instance, Observation
+from edge.types import Detections, Observation
 
 WATCHED_S = 10.0
 """Time after the last request in which the page counts as viewed."""
@@ -45,40 +45,32 @@ class LiveSnapshot:
 
     Attributes:
         at_s: time on the sink's clock.
-        result: the result of the tick. Use only methods that other threads may call.
-        task: the task; None: there is none.
-        n_tasks: version of `task`: increases when it changes, except for progress along it.
-        instances: objects of the mission.
+        result: the result of the tick, of which mission, task, instances, candidates and path are
+            computed. Of the other functions, use only those that other threads may call.
+        n_tasks: version of the task: increases when it changes, except for progress along it.
         site: places and zones.
         n_sites: version of `site`.
-        candidates: candidates for the next goal.
-        path: (n, 2) path to the goal, metres.
         layers: name of a layer → function that returns the grid to draw.
         health: see `edge.loop.result.TickResult`.
         mark_letters: candidate id → letter of its mark, and its probability by the model.
         trail: (n, 3) float64 poses of the driven path: x and y in metres, yaw in radians.
-        beat_hz: ticks with an observation per second.
+        tick_hz: ticks with an observation per second.
         proposals: proposals of agents that wait for a person.
         n_events: number of events since the start.
     """
 
     at_s: float
     result: TickResult
-    mission: MissionFacts
-    task: TaskStatus | None
     n_tasks: int
-    instances: Sequence[Instance]
     objects: Sequence[KnownObject]
     rooms: Sequence[MappedRoom]
     site: Site
     n_sites: int
-    candidates: ScoredCandidates
-    path: np.ndarray
     layers: dict[str, Callable[[], Grid]]
     health: dict[str, Any]
     mark_letters: dict[int, tuple[str, float]]
     trail: np.ndarray
-    beat_hz: float
+    tick_hz: float
     proposals: list[dict[str, object]]
     events: tuple[Event, ...]
     n_events: int
@@ -139,7 +131,7 @@ class LiveSink:
         self._task: TaskStatus | None = None
         self._n_events = self._n_shots = self._n_tasks = self._n_sites = 0
         self._window_s, self._n_ticks = 0.0, 0  # start of the window, ticks in it
-        self._beat_hz = 0.0  # rate in the last window
+        self._tick_hz = 0.0  # rate in the last window
 
     # -- for any thread ------------------------------------------------------------------------
 
@@ -161,7 +153,7 @@ class LiveSink:
             if result.pose is not None:
                 self._trail.append(result.now_ns, result.pose)
         if now_s - self._window_s >= _WINDOW_S:
-            self._beat_hz = self._n_ticks / (now_s - self._window_s)
+            self._tick_hz = self._n_ticks / (now_s - self._window_s)
             self._window_s, self._n_ticks = now_s, 0
         if now_s - self._viewed_s > WATCHED_S:
             self._drop()
@@ -197,24 +189,21 @@ class LiveSink:
         else:
             slow = before.objects, before.rooms, before.layers, before.health
         objects, rooms, layers, health = slow
+        for compute in (result.mission, result.instances, result.candidates, result.path):
+            compute()
         self.snapshot = LiveSnapshot(
             at_s=now_s,
             result=result,
-            mission=result.mission(),
-            task=task,
             n_tasks=self._n_tasks,
-            instances=result.instances(),
             objects=objects,
             rooms=rooms,
             site=self._site,
             n_sites=self._n_sites,
-            candidates=result.candidates(),
-            path=result.path(),
             layers=layers,
             health=health,
             mark_letters={} if choice is None else _letters_by_candidate(choice),
             trail=self._trail.arrays()[0],
-            beat_hz=self._beat_hz,
+            tick_hz=self._tick_hz,
             proposals=result.proposals(),
             events=self._events,
             n_events=self._n_events,

@@ -23,9 +23,9 @@ from edge.live.page_json import (
     MAX_LAYERS,
     log_json,
     memory_json,
+    page_task_json,
     site_json,
     snapshot_json,
-    task_json,
 )
 from edge.live.pictures import grid_json, shot_json
 from edge.live.sink import LiveSink, LiveSnapshot
@@ -93,7 +93,7 @@ class LiveView:
     # -- data ----------------------------------------------------------------------------------
 
     def _now(self) -> HttpResponse:
-        """Return the data that change all the time; `moment` is the newest snapshot."""
+        """Return the data that change all the time; `status` is from the newest snapshot."""
         now_s = self.sink.mark_watched()
         snapshot, shots, ticked_s = self.sink.snapshot, self.sink.shots, self.sink.ticked_s
         why = self._health.problems()
@@ -105,7 +105,7 @@ class LiveView:
                 "controls": self._config.http.token_file is not None,
                 "silent_s": None if ticked_s is None else round(now_s - ticked_s, 1),
                 "shots": {CAMERAS[i]: shot.seq for i, shot in shots.items()},
-                "moment": None if snapshot is None else snapshot_json(snapshot),
+                "status": None if snapshot is None else snapshot_json(snapshot),
             }
         )
 
@@ -117,11 +117,10 @@ class LiveView:
 
     def _task(self) -> HttpResponse:
         snapshot = self._watched_snapshot()
-        if snapshot is None or snapshot.task is None:
+        if snapshot is None or (task := snapshot.result.task()) is None:
             return _json(None)
-        task = snapshot.task
         return self._cached_response(
-            "task", snapshot.n_tasks, lambda: _json(task_json(task, snapshot.n_tasks))
+            "task", snapshot.n_tasks, lambda: _json(page_task_json(task, snapshot.n_tasks))
         )
 
     def _site(self) -> HttpResponse:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,7 +18,7 @@ from edge.loop.source import InputStatus, inputs_status
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.tasks.facts import TaskStatus, lengths_m, thinned
-from edge.text import bounded_lines, one_line
+from edge.text import MAX_CHARS, bounded_lines, one_line
 from edge.types import Instance, MissionStatus
 
 MOST_POSES = 200
@@ -28,11 +30,22 @@ _MAX_CODE_CHARS, _MAX_TEXT_CHARS, _MAX_STEP_CHARS = 2000, 500, 100  # of one tex
 
 
 def status_message(result: TickResult) -> dict[str, object]:
-    """Return the status message, JSON-ready, with units in the field names.
+    """Return the status message, JSON-ready, with units in the field names."""
+    return {
+        **tick_json(result),
+        "mission": mission_json(result.mission()),
+        "task": task_json(result.task()),
+        "frontiers": len(result.frontiers()),
+        **result.health(),
+    }
+
+
+def tick_json(result: TickResult) -> dict[str, Any]:
+    """Return the part of the status message that changes all the time.
 
     `instances` are the objects that were detected as a target.
     """
-    pose, goal, status, health = result.pose, result.goal, result.status, result.health()
+    pose, goal, status = result.pose, result.goal, result.status
     return {
         "instruction": status.instruction,
         "target": status.target,
@@ -40,8 +53,6 @@ def status_message(result: TickResult) -> dict[str, object]:
         "reason": status.reason,
         "elapsed_s": round(status.elapsed_s, 2),
         "path_m": round(status.path_m, 2),
-        "mission": mission_json(result.mission()),
-        "task": task_json(result.task()),
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "goal": None
         if goal is None
@@ -51,19 +62,16 @@ def status_message(result: TickResult) -> dict[str, object]:
             "id": goal.candidate_id,
             "pose": [goal.pose.x_m, goal.pose.y_m, goal.pose.yaw_rad],
             "candidate_xy_m": list(goal.candidate_xy_m),
-            "score": goal.score,
+            "score": goal.score if math.isfinite(goal.score) else None,
             "answer": "" if result.goal_status is None else result.goal_status.state,
         },
         "controller": "answers" if result.has_controller else "silent",
         "stopped": result.stopped,
-        "frontiers": len(result.frontiers()),
-        "instances": [instance_json(instance) for instance in result.instances()],
-        **health,
+        "instances": [_instance_json(instance) for instance in result.instances()],
     }
 
 
-def instance_json(instance: Instance) -> dict[str, object]:
-    """Return an object that was detected as a target, JSON-ready."""
+def _instance_json(instance: Instance) -> dict[str, object]:
     return {
         "id": instance.id,
         "label": instance.label,
@@ -184,35 +192,39 @@ def mission_json(mission: MissionFacts) -> dict[str, object]:
     }
 
 
-def task_json(task: TaskStatus | None) -> dict[str, object] | None:
+def task_json(task: TaskStatus | None, scale: int = 1) -> dict[str, Any] | None:
     """Return a task and its trajectory, JSON-ready and of bounded size; None if there is no task.
 
-    `trajectory` has at most `MOST_POSES` rows [x, y, heading], and `index` refers to them. `rounds`
-    holds the newest of the model's answers; their total number is `answers`.
+    `trajectory` has at most `scale * MOST_POSES` rows [x, y, heading], and `index` refers to them.
+    `rounds` holds the newest of the model's answers; their total number is `answers`. An answer
+    without code has its text. `scale` is a factor on the limits of lists and texts.
     """
     if task is None:
         return None
+    max_lines, max_text = scale * _MAX_LINES, scale * _MAX_TEXT_CHARS
+    line = partial(one_line, limit=scale * MAX_CHARS)
     poses, index, length_m, driven_m = np.empty((0, 3)), -1, 0.0, 0.0
     if task.refined is not None:
-        poses, index = thinned(task.refined, task.index, MOST_POSES)
+        poses, index = thinned(task.refined, task.index, scale * MOST_POSES)
         length_m, driven_m = lengths_m(task.refined, task.index)
     return {
-        "instruction": one_line(task.instruction, _MAX_TEXT_CHARS),
+        "instruction": one_line(task.instruction, max_text),
         "phase": task.phase,
-        "writer": one_line(task.writer),
-        "missing": [one_line(name) for name in task.missing[:_MAX_LINES]],
+        "writer": line(task.writer),
+        "missing": [line(name) for name in task.missing[:max_lines]],
         "steps": [
-            {"said": one_line(step.said, _MAX_STEP_CHARS), "state": step.state}
-            for step in task.steps[:_MAX_LINES]
+            {"said": one_line(step.said, scale * _MAX_STEP_CHARS), "state": step.state}
+            for step in task.steps[:max_lines]
         ],
-        "understood": one_line(task.understood, _MAX_TEXT_CHARS),
+        "understood": one_line(task.understood, max_text),
         "rounds": [
             {
-                "code": bounded_lines(round.code, _MAX_CODE_CHARS),
-                "error": one_line(round.error),
-                "printed": bounded_lines(round.printed, _MAX_TEXT_CHARS),
+                "answer": "" if round.code else bounded_lines(round.answer, max_text),
+                "code": bounded_lines(round.code, scale * _MAX_CODE_CHARS),
+                "error": line(round.error),
+                "printed": bounded_lines(round.printed, max_text),
             }
-            for round in task.rounds[-MOST_ROUNDS:]
+            for round in task.rounds[-scale * MOST_ROUNDS :]
         ],
         "answers": len(task.rounds),
         "trajectory": np.round(poses, 3).tolist(),
@@ -220,7 +232,7 @@ def task_json(task: TaskStatus | None) -> dict[str, object] | None:
         "length_m": round(length_m, 2),
         "driven_m": round(driven_m, 2),
         "refinements": task.refinements,
-        "notes": [one_line(note) for note in task.notes[:_MAX_LINES]],
+        "notes": [line(note) for note in task.notes[:max_lines]],
     }
 
 

@@ -472,7 +472,7 @@ def test_a_task_replaces_the_mission_on_the_page(page, house):
     page.says("#asked", TASK)
     page.says("#task-facts", "van, gate")
     assert page.text("#automaton") == page.text("#formula") == ""
-    hidden = "document.querySelector('.legend .refined').hidden"
+    hidden = "document.querySelector('.legend .trajectory').hidden"
     assert page.run(hidden)
     house.tasked.task = driving(60)
     page.says("#phase", "DRIVING")

@@ -72,7 +72,7 @@ def test_the_page_works_before_the_service_starts(view):
     view._health.starting("compiling")
     now = fetch(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
-    assert (now["moment"], now["shots"], now["silent_s"]) == (None, {}, None)
+    assert (now["status"], now["shots"], now["silent_s"]) == (None, {}, None)
     for path in ("story", "task", "site", "memory", "map", "camera", "camera2", "layers/0"):
         assert fetch(view, f"/live/{path}") is None
     answer = view.forms()["/mission/request"](b'{"do": "pause"}')
@@ -93,12 +93,12 @@ def test_only_the_page_itself_is_public(view):
 def test_all_pages_are_json_without_infinities(view):
     view.sink.mark_watched()
     view.sink.tick(result(**full()))
-    moment, story = fetch(view, "/live/now")["moment"], fetch(view, "/live/story")
-    assert moment["instances"][0]["label"] == EVIL
-    assert moment["goal"]["score"] is None
-    assert [c["score"] for c in moment["candidates"]] == [0.5, None]
-    assert [c["path_m"] for c in moment["candidates"]] == [1.0, None]
-    assert len(moment["way"]) <= MAX_POINTS
+    status, story = fetch(view, "/live/now")["status"], fetch(view, "/live/story")
+    assert status["instances"][0]["label"] == EVIL
+    assert status["goal"]["score"] is None
+    assert [c["score"] for c in status["candidates"]] == [0.5, None]
+    assert [c["path_m"] for c in status["candidates"]] == [1.0, None]
+    assert len(status["path"]) <= MAX_POINTS
     assert story["events"] == [{"t_s": 1e-9, "text": EVIL}]
     assert story["layers"] == ["value of chair"]
     memory = fetch(view, "/live/memory")
@@ -106,7 +106,7 @@ def test_all_pages_are_json_without_infinities(view):
     assert [(room["kinds"], room["area_m2"]) for room in memory["rooms"]] == [(["kitchen"], 12.0)]
     assert (known["name"], known["xyz"]) == (EVIL, [1.0, 2.0, 0.5])
     site = fetch(view, "/live/site")
-    assert site["number"] == moment["site"]
+    assert site["number"] == status["site"]
     assert [one["properties"]["name"] for one in site["features"]] == ["dock", "pit"]
     assert [node["current"] for node in story["automaton"]["nodes"]] == [True, False]
 
@@ -161,12 +161,13 @@ def test_a_task_is_encoded_once_and_its_progress_every_time(view):
     view.sink.tick(result(task=lambda: task))
     script = fetch(view, "/live/task")
     assert view.pages()["/live/task"]() is view.pages()["/live/task"]()
-    now = fetch(view, "/live/now")["moment"]["task"]
+    now = fetch(view, "/live/now")["status"]["task"]
     assert (now["number"], now["phase"]) == (script["number"], "driving")
     assert 0 < now["driven_m"] < script["length_m"]
-    assert script["refined"][now["index"]] == task.refined.poses[40, [0, 1, 3]].round(3).tolist()
-    assert (script["instruction"], script["coarse"][-1]) == (INSTRUCTION, script["refined"][-1][:2])
-    assert [(r["said"] != "", r["code"] != "", r["error"] != "") for r in script["rounds"]] == [
+    assert script["trajectory"][now["index"]] == task.refined.poses[40, [0, 1, 3]].round(3).tolist()
+    assert script["instruction"] == INSTRUCTION
+    assert script["coarse"][-1] == script["trajectory"][-1][:2]
+    assert [(r["answer"] != "", r["code"] != "", r["error"] != "") for r in script["rounds"]] == [
         (True, False, True), (False, True, False),
     ]  # fmt: skip
     assert script["rounds"][1]["code"].splitlines()[1:] == task.rounds[1].code.splitlines()[1:]
@@ -177,6 +178,6 @@ def test_an_unwritten_task_has_no_lines(view):
     view.sink.mark_watched()
     view.sink.tick(result(task=looking))
     script = fetch(view, "/live/task")
-    assert (script["missing"], script["coarse"], script["refined"]) == (["van", "gate"], [], [])
+    assert (script["missing"], script["coarse"], script["trajectory"]) == (["van", "gate"], [], [])
     assert [step["state"] for step in script["steps"]] == ["looked for", "looked for"]
-    assert fetch(view, "/live/now")["moment"]["task"]["index"] == -1
+    assert fetch(view, "/live/now")["status"]["task"]["index"] == -1

@@ -9,19 +9,19 @@ let stopped = false; // the button releases a stopped robot
 let resumes = false; // the button resumes a paused mission, or ends a wait
 let asks = false; // the button confirms the object that the robot asks about
 
-export function show({ controls, moment, service }) {
+export function show({ controls, status, service }) {
   $("controls").hidden = $("swap").hidden = $("ask").hidden = !controls;
   $("readonly").hidden = controls;
-  const paused = moment?.paused ?? false;
-  if (moment && stopped !== Boolean(moment.stopped)) {
+  const paused = status?.paused ?? false;
+  if (status && stopped !== Boolean(status.stopped)) {
     stopped = !stopped;
     say("stop", stopped ? "Release" : "Stop");
   }
-  proposals(controls ? (moment?.proposals ?? []) : []);
-  resumes = paused || moment?.phase === "waiting";
-  asks = !paused && Boolean(moment?.question);
+  proposals(controls ? (status?.proposals ?? []) : []);
+  resumes = paused || status?.phase === "waiting";
+  asks = !paused && Boolean(status?.question);
   say("pause", paused ? "Resume" : asks ? "Confirm" : resumes ? "Go on" : "Pause");
-  $("pause").disabled = $("cancel").disabled = isDone(moment);
+  $("pause").disabled = $("cancel").disabled = isDone(status);
   $("new").disabled = $("send").disabled = service.state === "starting" || service.state === "stopping";
 }
 

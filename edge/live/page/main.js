@@ -57,13 +57,13 @@ async function now() {
   panels.showState(data, [...failed.values()][0]);
   controls.show(data);
   site.allow(data.controls);
-  task.show(data.moment?.task ?? null);
-  map.update({ now: data.moment, radius_m: data.radius_m });
+  task.show(data.status?.task ?? null);
+  map.update({ now: data.status, radius_m: data.radius_m });
 }
 
 // The script is long: get it only when it has changed.
 async function scripts() {
-  const number = state.now?.moment?.task?.number;
+  const number = state.now?.status?.task?.number;
   if (number === undefined || number === task.number()) return;
   const script = await get("live/task");
   if (script) task.showScript(script);
@@ -71,7 +71,7 @@ async function scripts() {
 
 // Places change seldom: get them only when they have changed.
 async function sites() {
-  if (!site.isOld(state.now?.moment?.site)) return;
+  if (!site.isOld(state.now?.status?.site)) return;
   const data = await get("live/site");
   if (data) site.show(data);
 }
@@ -89,13 +89,13 @@ async function story() {
   const data = await get("live/story");
   if (!data || !state.now) return;
   const { now } = state;
-  const idle = now.moment?.phase === "idle";
-  const driven = Boolean(now.moment?.task);
-  panels.mission({ mission: data.mission, steps: data.steps, done: panels.isDone(now.moment), idle, driven });
+  const idle = now.status?.phase === "idle";
+  const driven = Boolean(now.status?.task);
+  panels.mission({ mission: data.mission, steps: data.steps, done: panels.isDone(now.status), idle, driven });
   automaton.show(idle || driven ? automaton.NONE : data.automaton);
   panels.latency(data.latency);
   panels.log({ events: data.events, n_events: data.n_events });
-  panels.health({ service: now.service, health: data.health, controlled: now.moment?.controlled ?? false });
+  panels.health({ service: now.service, health: data.health, controller: now.status?.controller ?? "silent" });
   camera.name(data.targets);
   map.update({ trail: data.trail, targets: data.targets });
   offer(data.layers);

@@ -152,7 +152,7 @@ function paint() {
   for (const one of remembered()) known(context, one);
   for (const room of shown.rooms) roomTitle(context, room);
   if (now.task && shown.script) trajectory(context, shown.script, now.task.index);
-  line(context, now.way.map(toScreen), colour("way"), 2.5, [7, 5]);
+  line(context, now.path.map(toScreen), colour("path"), 2.5, [7, 5]);
   const open = now.candidates.filter((c) => c.kind !== "instance");
   open.sort((a, b) => (a.score ?? -1) - (b.score ?? -1)); // the best on top
   const best = Math.max(open.at(-1)?.score ?? 0, 1e-9);
@@ -185,18 +185,18 @@ function trail(now) {
 }
 
 // Draws the coarse and the refined trajectory; the driven part is pale.
-function trajectory(context, { coarse, refined }, index) {
-  const places = refined.map(toScreen);
+function trajectory(context, { coarse, trajectory: poses }, index) {
+  const places = poses.map(toScreen);
   line(context, coarse.map(toScreen), colour("coarse"), 2, [3, 5]);
   context.globalAlpha = 0.35;
-  line(context, places.slice(0, index + 1), colour("refined"), 5);
+  line(context, places.slice(0, index + 1), colour("trajectory"), 5);
   context.globalAlpha = 0.85;
-  line(context, places.slice(Math.max(index, 0)), colour("refined"), 5);
+  line(context, places.slice(Math.max(index, 0)), colour("trajectory"), 5);
   context.globalAlpha = 1;
-  if (!refined.length) return;
-  const [[x, y], heading] = [places.at(-1), refined.at(-1)[2]];
+  if (!poses.length) return;
+  const [[x, y], heading] = [places.at(-1), poses.at(-1)[2]];
   const [c, s] = [Math.cos(heading), Math.sin(heading)];
-  line(context, [[x - 11 * c - 7 * s, y + 11 * s - 7 * c], [x, y], [x - 11 * c + 7 * s, y + 11 * s + 7 * c]], colour("refined"), 4);
+  line(context, [[x - 11 * c - 7 * s, y + 11 * s - 7 * c], [x, y], [x - 11 * c + 7 * s, y + 11 * s + 7 * c]], colour("trajectory"), 4);
 }
 
 function line(context, places, ink, width, dash = []) {

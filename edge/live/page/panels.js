@@ -3,7 +3,7 @@
 import { $, clock, make, once, say } from "./dom.js";
 
 // True if there is no mission, or it has ended.
-export const isDone = (moment) => !moment || ["idle", "reached", "failed"].includes(moment.phase);
+export const isDone = (status) => !status || ["idle", "reached", "failed"].includes(status.phase);
 
 function badge(kind, text) {
   say("phase", text);
@@ -16,20 +16,20 @@ export function banner(kind, text) {
   say("banner", text);
 }
 
-export function header({ robot, moment, service }) {
+export function header({ robot, status, service }) {
   document.body.classList.remove("gone");
   say("robot", robot);
-  document.title = moment ? `${moment.phase}: ${robot}` : `${service.state}: ${robot}`;
-  if (!moment) return badge("", service.state);
-  const at = isDone(moment) ? moment.phase : (moment.task?.phase ?? moment.phase);
-  const phase = moment.stopped ? "stopped" : moment.paused && !isDone(moment) ? "paused" : at;
+  document.title = status ? `${status.phase}: ${robot}` : `${service.state}: ${robot}`;
+  if (!status) return badge("", service.state);
+  const at = isDone(status) ? status.phase : (status.task?.phase ?? status.phase);
+  const phase = status.stopped ? "stopped" : status.paused && !isDone(status) ? "paused" : at;
   badge(phase, phase);
-  say("instruction", phase === "idle" ? "No mission yet" : moment.instruction);
-  const now = isDone(moment) || !moment.target ? "" : `now: ${moment.target}`;
-  say("reason", [now, moment.reason].filter(Boolean).join("; "));
-  say("elapsed", duration(moment.elapsed_s));
-  say("driven", `${moment.path_m.toFixed(1)} m`);
-  say("beat", `${moment.beat_hz.toFixed(0)} Hz`);
+  say("instruction", phase === "idle" ? "No mission yet" : status.instruction);
+  const now = isDone(status) || !status.target ? "" : `now: ${status.target}`;
+  say("reason", [now, status.reason].filter(Boolean).join("; "));
+  say("elapsed", duration(status.elapsed_s));
+  say("driven", `${status.path_m.toFixed(1)} m`);
+  say("beat", `${status.tick_hz.toFixed(0)} Hz`);
 }
 
 function duration(s) {
@@ -38,16 +38,16 @@ function duration(s) {
 }
 
 // Shows the most important problem.
-export function showState({ service, silent_s, moment }, fault) {
+export function showState({ service, silent_s, status }, fault) {
   const why = service.why.join("; ");
   if (service.state === "starting") return banner("info", `Starting: ${why.replace(/^starting:? ?/, "") || "…"}`);
   if (fault) return faulty(fault, false);
   if (service.state === "stopping") return banner("warn", "The service is stopping.");
   if (silent_s !== null && silent_s > 3) return banner("bad", `The service hangs: its loop has not run for ${silent_s.toFixed(0)} s.`);
-  if (moment?.stopped) return banner("bad", `Stopped: ${moment.stopped}. No goal is sent until somebody releases the robot.`);
+  if (status?.stopped) return banner("bad", `Stopped: ${status.stopped}. No goal is sent until somebody releases the robot.`);
   if (!service.ready) return banner("warn", `Not ready: ${why}.`);
-  if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot holds its position until the mission is resumed.");
-  if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: a goal counts as reached when the robot stops there.");
+  if (status?.paused && !isDone(status)) return banner("info", "Paused: the robot holds its position until the mission is resumed.");
+  if (status && status.controller === "silent" && status.goal) return banner("warn", "No motion controller answers: a goal counts as reached when the robot stops there.");
   banner("", "");
 }
 
@@ -130,7 +130,7 @@ function gauge(row) {
 
 const ms = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
 
-export const health = once(({ service, health: h, controlled }) => {
+export const health = once(({ service, health: h, controller }) => {
   const rows = [["service", service.ready ? `${service.state}, ready` : `${service.state}: ${service.why.join("; ")}`, service.ready ? "ok" : "warn"]];
   const { detector, loop, checkpoint, swap, load_shedding: shedding, scorers, inputs, plausibility } = h;
   for (const [name, input] of Object.entries(inputs?.topics ?? {})) rows.push([name, ...inputOf(input)]);
@@ -138,7 +138,7 @@ export const health = once(({ service, health: h, controlled }) => {
   rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
   rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} skipped`]);
   rows.push(["loop", `${loop.state}, ${loop.failed} errors${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
-  rows.push(["controller", controlled ? "answers" : "silent", controlled ? "ok" : "warn"]);
+  rows.push(["controller", controller, controller === "answers" ? "ok" : "warn"]);
   if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state}${swap.detail ? `: ${swap.detail}` : ""}`]);
   if (shedding) rows.push(["load shedding", shedding.level ? shedding.why : shedding.distress || "none", shedding.level ? "warn" : "ok"]);
   for (const [name, scorer] of Object.entries(scorers ?? {})) rows.push([name, scorer.model ?? "in use"]);

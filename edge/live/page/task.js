@@ -11,7 +11,7 @@ export const number = () => script?.number;
 // `progress`: data that change all the time; null: no task.
 export function show(progress) {
   $("task").hidden = !progress;
-  for (const kind of ["coarse", "refined"]) {
+  for (const kind of ["coarse", "trajectory"]) {
     document.querySelector(`.legend .${kind}`).hidden = !progress || !script?.[kind].length;
   }
   if (!progress) drop();
@@ -40,7 +40,7 @@ function rowsOf(progress, s) {
   const rows = [["written by", s.writer]];
   if (s.steps.length > 1) rows.push(...s.steps.map((step) => [step.state, step.said]));
   if (s.missing.length) rows.push(["not seen yet", s.missing.join(", ")]);
-  if (s.refined.length) rows.push(["driven", `${progress.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m, ${s.time_s.toFixed(0)} s in total`]);
+  if (s.trajectory.length) rows.push(["driven", `${progress.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m, ${s.time_s.toFixed(0)} s in total`]);
   if (s.refinements > 1) rows.push(["refined again", `${s.refinements - 1} times, because the map changed`]);
   return [...rows, ...s.notes.map((note) => ["note", note, "warn"])];
 }
@@ -50,7 +50,7 @@ const rounds = once((all) => {
   $("rounds").replaceChildren(...all.map((round, i) => {
     const outcome = round.error ? make("span", { class: "bad", text: "rejected" }) : make("span", { class: "ok", text: "accepted" });
     const parts = [
-      round.said && make("p", { text: round.said }),
+      round.answer && make("p", { text: round.answer }),
       round.code && make("pre", { class: "code", text: round.code }),
       round.printed && make("div", {}, make("small", { text: "printed" }), make("pre", { class: "code", text: round.printed })),
       round.error && make("p", { class: "error", text: round.error }),
