@@ -14,6 +14,7 @@ from time import perf_counter_ns
 from typing import Generic, TypeVar
 
 from edge.errors import UserError
+from edge.host.backoff import pause_after
 from edge.text import one_line
 
 log = logging.getLogger(__name__)
@@ -21,7 +22,7 @@ log = logging.getLogger(__name__)
 LONGEST_ERROR = 500
 """Longest text of an error, in characters."""
 MAX_DOUBLINGS = 6
-"""Limit of how often the pause after failures doubles."""
+"""Limit of how often the number of dropped items doubles after failures."""
 MAX_PAUSE_S = 30.0
 """Longest pause after failures, in seconds."""
 MOST_QUEUED = 256
@@ -262,8 +263,7 @@ class Worker(Generic[Item, Result]):
                 self._changed.wait_for(lambda: self._closed, seconds)
 
     def _pause_length_s(self) -> float:
-        doublings = max(min(self.stats.in_a_row - 1, MAX_DOUBLINGS), 0)
-        return min(self._pause_s * 2.0**doublings, MAX_PAUSE_S)
+        return pause_after(self.stats.in_a_row, self._pause_s, MAX_PAUSE_S)
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """Count a failure, and log the first of its type.

@@ -25,6 +25,7 @@ from edge.bus.ros2.topics import LATCHED, NAVIGATE_TO_POSE, PUBLISHED, SUBSCRIBE
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
 from edge.errors import UnavailableError
+from edge.host.backoff import pause_after
 from edge.host.signals import stop_on_signals
 
 log = logging.getLogger("edge.ros2_adapter")
@@ -141,7 +142,7 @@ def supervise(config: Config, stop: threading.Event) -> int:
         ConfigError: see `make_plan`.
         UnavailableError: a restart would not help.
     """
-    plan, command, pause_s = make_plan(config), command_of(config), _PAUSE_S
+    plan, command, ends = make_plan(config), command_of(config), 0
     while not stop.is_set():
         begun_s = time.monotonic()
         code = _run_node(command, plan, stop)
@@ -150,11 +151,11 @@ def supervise(config: Config, stop: threading.Event) -> int:
         if code == os.EX_UNAVAILABLE:
             message = "ros2-adapter: the adapter's node cannot run here: see the error above"
             raise UnavailableError(message)
-        pause_s = _PAUSE_S if time.monotonic() - begun_s > _STABLE_S else pause_s
+        ends = 1 if time.monotonic() - begun_s > _STABLE_S else ends + 1
+        pause_s = pause_after(ends, _PAUSE_S, _LONGEST_PAUSE_S)
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         log.warning("the adapter's node ended (%s): starting it again in %g s", how, pause_s)
         stop.wait(pause_s)
-        pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
     return os.EX_OK
 
 

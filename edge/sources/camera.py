@@ -23,6 +23,7 @@ from edge.bus.topics import Topic
 from edge.bus.wire import messages
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel, Lens
+from edge.host.backoff import pause_after
 from edge.recording.channels import Channel, topic_channel
 from edge.sources.messages import CameraInfo, Image, WrongSizeError
 from edge.sources.zenoh import ZenohSource
@@ -74,15 +75,15 @@ class CameraReader:
         """Open the camera again and again until `close`."""
         logs = cv2.utils.logging
         logs.setLogLevel(logs.LOG_LEVEL_ERROR)  # each failure to open would be a warning
-        pause_s = PAUSE_S
+        failures = 0
         while not self._closing.is_set():
             before = self.n_images
             fault = self._read_until_fault()
             if self._closing.is_set():
                 return
             self._report(fault)
-            pause_s = PAUSE_S if self.n_images > before else min(2.0 * pause_s, MAX_PAUSE_S)
-            self._closing.wait(pause_s)
+            failures = 1 if self.n_images > before else failures + 1
+            self._closing.wait(pause_after(failures, PAUSE_S, MAX_PAUSE_S))
 
     def _read_until_fault(self) -> str:
         """Open the camera and read it; return why that ended, "" if a file was read to its end."""

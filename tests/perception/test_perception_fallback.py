@@ -98,7 +98,7 @@ def test_an_unreliable_server_is_asked_at_growing_intervals(server):
         pauses.append(server.model._next_s - server.clock.s)
         server.fault = None
         server.ask(item, module.MAX_PAUSE_S)
-    assert pauses[:3] == [2.0, 4.0, 8.0]
+    assert pauses[:3] == [1.0, 2.0, 4.0]
     assert pauses[-1] == module.MAX_PAUSE_S
     server.clock.s += module.STEADY_S + 1.0
     server.fault = UserError("oh no")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import FARTHEST_M, CameraModel
+from edge.host.backoff import pause_after
 
 MISFIT = 0.45
 """Largest share of informative points in the wrong place. It is usually below 0.1."""
@@ -71,7 +72,7 @@ class DepthMotionCheck:
         )
         # While it fails: the misfit, and the time of the next retry.
         self._failed: tuple[float, int] | None = None
-        self._retry_ns, self._n_good = RETRY_NS, 0
+        self._n_failed = self._n_good = 0
 
     def misfit(
         self,
@@ -124,12 +125,13 @@ class DepthMotionCheck:
         mean = self._mean_score()
         if mean > MISFIT:
             self.since_ns = self._scores[0][0]
-            self._failed, self._n_good = (mean, now_ns + self._retry_ns), 0
-            self._retry_ns = min(2 * self._retry_ns, MOST_RETRY_NS)
+            self._n_failed, self._n_good = self._n_failed + 1, 0
+            pause_ns = int(pause_after(self._n_failed, RETRY_NS, MOST_RETRY_NS))
+            self._failed = mean, now_ns + pause_ns
         elif score <= MISFIT:
             self._n_good += 1
             if self._n_good >= _GOOD_SCORES:
-                self._retry_ns = RETRY_NS
+                self._n_failed = 0
 
     def _mean_score(self) -> float:
         """Return the mean of the newest scores; NaN while there are too few."""

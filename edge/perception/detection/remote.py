@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from edge import config
+from edge.host.backoff import pause_after
 from edge.perception.detection.onnx import OnnxDetector
 from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import check_prompts
@@ -121,10 +122,9 @@ class RemoteDetector:
 
     def _record_failure(self, error: ModelError) -> None:
         """Begin a pause, and set the health."""
-        pause_s = min(PAUSE_S * 2.0 ** min(self._failures, 10), MAX_PAUSE_S)  # 10: no overflow
         self._last_error = error
         self._failures += 1
-        self._next_s = self._clock() + pause_s
+        self._next_s = self._clock() + pause_after(self._failures, PAUSE_S, MAX_PAUSE_S)
         self._health = Health("degraded", str(error))
         # An error without a kind is of the answer's content.
         if getattr(error, "kind", "invalid answer") == "invalid answer":

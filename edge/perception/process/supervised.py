@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from edge import config
 from edge.errors import UserError
+from edge.host.backoff import pause_after
 from edge.perception.process.link import ModelProcessClient
 from edge.perception.process.wire import FrameFile
 from edge.perception.runtime.health import ProgressCallback
@@ -53,8 +54,7 @@ class RestartBackoff:
     """
 
     def __init__(self) -> None:
-        self._ends = 0
-        self._backoff_s = BACKOFF_S
+        self._ends = self._short_runs = 0
 
     def after(self, ran_s: float) -> RestartDelay:
         """Return the pause after a process has ended.
@@ -63,9 +63,8 @@ class RestartBackoff:
             ran_s: time that the process was ready, in seconds; 0 if it never was.
         """
         self._ends = 1 if ran_s > WINDOW_S else self._ends + 1
-        if ran_s > BACKOFF_MAX_S:
-            self._backoff_s = BACKOFF_S
-        seconds, self._backoff_s = self._backoff_s, min(2 * self._backoff_s, BACKOFF_MAX_S)
+        self._short_runs = 1 if ran_s > BACKOFF_MAX_S else self._short_runs + 1
+        seconds = pause_after(self._short_runs, BACKOFF_S, BACKOFF_MAX_S)
         if self._ends > MOST_ENDS:
             return RestartDelay(max(seconds, WINDOW_S), True)
         return RestartDelay(seconds, False)

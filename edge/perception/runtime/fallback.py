@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from edge.errors import UserError
+from edge.host.backoff import pause_after
 from edge.host.worker import LONGEST_ERROR, Worker
 from edge.text import one_line
 
@@ -53,7 +54,8 @@ class FallbackModel(Generic[Item, Result]):
         self.detail = ""
         self._kind, self._server, self._local = kind, server, local
         self._ask_server, self._hold, self._release = ask_server, hold, release
-        self._clock, self._pause_s = clock, PAUSE_S
+        self._clock = clock
+        self._failures = 0  # in a row, each without a steady time before it
         self._next_s = 0.0  # the server is not asked again before this time
         self._answers_since_s = clock()
         self._background: Worker[Item, None] = Worker(
@@ -84,8 +86,8 @@ class FallbackModel(Generic[Item, Result]):
     def _record_failure(self, error: UserError) -> None:
         now_s = self._clock()
         steady = now_s - self._answers_since_s > STEADY_S
-        self._pause_s = PAUSE_S if steady else min(2.0 * self._pause_s, MAX_PAUSE_S)
-        self._next_s = now_s + self._pause_s
+        self._failures = 1 if steady else self._failures + 1
+        self._next_s = now_s + pause_after(self._failures, PAUSE_S, MAX_PAUSE_S)
         self.detail = one_line(
             f"{self._local} answers until {self._server} does again: {error}", LONGEST_ERROR
         )
