@@ -50,7 +50,7 @@ from edge.perception.factory import make_detector
 from edge.perception.masks.ground import make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health, log_progress
+from edge.perception.runtime.health import ModelHealth, log_progress
 from edge.perception.worker import DetectorWorker
 from edge.policies import find_policy
 from edge.sinks import find_sinks
@@ -241,7 +241,7 @@ def _load_detector(
 ) -> Detector:
     """Make the detector (see `make_detector`)."""
 
-    def report(health: Health) -> None:
+    def report(health: ModelHealth) -> None:
         log_progress(health)
         progress(f"{health.state}: {health.detail}")
 

@@ -31,11 +31,11 @@ def facts(target: str = "chair") -> MissionFacts:
     return mission_facts(MissionRun(prepare(config), config))
 
 
-def health() -> dict[str, Any]:
-    parts = (
+def parts() -> dict[str, Any]:
+    names = (
         "loop", "checkpoint", "detector", "segmenter", "swap", "load_shedding", "scorers", "sinks"
     )  # fmt: skip
-    return {part: {} for part in parts}
+    return {part: {} for part in names}
 
 
 def result(now_ns: int = 0, **fields: Any) -> TickResult:
@@ -53,6 +53,6 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
         "path": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
         "known_m2": lambda: 0.0,
         "snapshot": lambda inflated=100: Grid(CELLS, (-1.0, 2.0), 0.05),
-        "latency": LatencyRing().report, "spans": LatencyRing().spans, "health": health,
+        "latency": LatencyRing().report, "spans": LatencyRing().spans, "parts": parts,
     }  # fmt: skip
     return TickResult(now_ns=now_ns, **{**nothing, **fields})

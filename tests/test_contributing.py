@@ -51,7 +51,7 @@ def test_a_model_is_a_card_and_a_file(card, capsys):
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
     loop = ClosedLoop(simulated({**lockstep, "perception": {"detector": detector}}))
     loop.step()
-    assert loop.service.result().health()["detector"]["done"] == 1
+    assert loop.service.result().parts()["detector"]["done"] == 1
     loop.close()
 
 

@@ -79,7 +79,7 @@ def status_line(result: TickResult) -> str:
         parts = [f"{phase} {_targets_text(result)}", *_search_parts(result)]
     else:
         parts = _task_parts(task, result)
-    if missing := result.health().get("inputs", {}).get("detail"):
+    if missing := result.parts().get("inputs", {}).get("detail"):
         parts[0] = parts[0].removeprefix("waiting for sensors, ")
         # At the front, since a narrow terminal cuts the line.
         parts.insert(0, missing if pose is not None else f"waiting for sensors: {missing}")

@@ -117,7 +117,7 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
         "latency": latency.as_dict(),
         "events": [{"t_s": e.now_ns * _NS, "text": e.text} for e in snapshot.events],
         "n_events": snapshot.n_events,
-        "health": snapshot.health,
+        "health": snapshot.parts,
     }
 
 

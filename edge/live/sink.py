@@ -30,7 +30,7 @@ WATCHED_S = 10.0
 PERIOD_S = 0.2
 """Period of the page's data and of images."""
 OBJECTS_S = 1.0
-"""Period of the lists of remembered objects, rooms and layers, and of the health."""
+"""Period of the lists of remembered objects, rooms and layers, and of the parts' status."""
 MAX_EVENTS = 400
 MAX_SHOT_PX = 960  # longer side of an image
 MAX_BOXES = 60  # of targets, and of other objects
@@ -51,7 +51,7 @@ class LiveSnapshot:
         site: places and zones.
         n_sites: version of `site`.
         layers: name of a layer → function that returns the grid to draw.
-        health: see `edge.loop.result.TickResult`.
+        parts: see `edge.loop.result.TickResult`.
         mark_letters: candidate id → letter of its mark, and its probability by the model.
         trail: (n, 3) float64 poses of the driven path: x and y in metres, yaw in radians.
         tick_hz: ticks with an observation per second.
@@ -67,7 +67,7 @@ class LiveSnapshot:
     site: Site
     n_sites: int
     layers: dict[str, Callable[[], Grid]]
-    health: dict[str, Any]
+    parts: dict[str, Any]
     mark_letters: dict[int, tuple[str, float]]
     trail: np.ndarray
     tick_hz: float
@@ -185,10 +185,10 @@ class LiveSink:
         self._site = result.site
         if (before := self.snapshot) is None or now_s >= self._objects_due_s:
             self._objects_due_s = now_s + OBJECTS_S
-            slow = result.objects(), result.rooms, result.layers(), result.health()
+            slow = result.objects(), result.rooms, result.layers(), result.parts()
         else:
-            slow = before.objects, before.rooms, before.layers, before.health
-        objects, rooms, layers, health = slow
+            slow = before.objects, before.rooms, before.layers, before.parts
+        objects, rooms, layers, parts = slow
         for compute in (result.mission, result.instances, result.candidates, result.path):
             compute()
         self.snapshot = LiveSnapshot(
@@ -200,7 +200,7 @@ class LiveSink:
             site=self._site,
             n_sites=self._n_sites,
             layers=layers,
-            health=health,
+            parts=parts,
             mark_letters={} if choice is None else _letters_by_candidate(choice),
             trail=self._trail.arrays()[0],
             tick_hz=self._tick_hz,

@@ -69,7 +69,7 @@ class ResultPublisher:
         scorers: Scorers | None,
         input_log: InputLog,
         latency: LatencyRing,
-        health: Callable[[], dict[str, Any]],
+        parts: Callable[[], dict[str, Any]],
     ) -> None:
         self.goals: deque[Goal] = deque(maxlen=_MAX_EVENTS)
         self.goal_statuses: deque[GoalStatus] = deque(maxlen=_MAX_EVENTS)
@@ -78,7 +78,7 @@ class ResultPublisher:
         self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
         self._sinks, self._map, self._site = sinks, semantic_map, site
         self._goal_tracker, self._scorers = goals, scorers
-        self._input_log, self._latency, self._health = input_log, latency, health
+        self._input_log, self._latency, self._parts = input_log, latency, parts
 
     def result(
         self,
@@ -140,7 +140,7 @@ class ResultPublisher:
             layers=lambda: semantic_map.layers(likely=mission.ended != "idle"),
             latency=self._latency.report,
             spans=self._latency.spans,
-            health=self._health,
+            parts=self._parts,
         )
 
     def on_detections(self, detections: Detections) -> None:

@@ -113,7 +113,7 @@ class TickResult:
     Expensive values are functions. A sink calls them in `Sink.tick`, or after the loop has ended.
     `mission`, `task`, `instances`, `objects`, `frontiers`, `candidates` and `path` compute their
     value at the first call and then return the same value. `known_m2`, `snapshot`, `layers`,
-    `latency`, `spans` and `health` return the current value at each call. Only `snapshot`,
+    `latency`, `spans` and `parts` return the current value at each call. Only `snapshot`,
     `latency`, `spans` and the functions in `layers` may be called at other times by another thread.
 
     Attributes:
@@ -150,7 +150,7 @@ class TickResult:
             it has no value.
         latency: See `edge.loop.latency.LatencyRing.report`.
         spans: See `edge.loop.latency.LatencyRing.spans`.
-        health: Returns the state of loop, checkpoint, detector, swap, scorers and the other parts,
+        parts: Returns the status of loop, checkpoint, detector, swap, scorers and the other parts,
             JSON-ready.
     """
 
@@ -185,7 +185,7 @@ class TickResult:
     layers: Callable[[], dict[str, Callable[[], Grid]]]
     latency: Callable[..., LatencyReport]
     spans: Callable[..., list[Span]]
-    health: Callable[[], dict[str, Any]]
+    parts: Callable[[], dict[str, Any]]
 
 
 class Sink(Protocol):

@@ -45,7 +45,7 @@ from edge.loop.stages import (
     SELECT,
     STAGES,
 )
-from edge.loop.status import HealthWatch, Part
+from edge.loop.status import Part, PartsStatus
 from edge.memory import START, Place, Site, SiteFile
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, task_state
@@ -93,7 +93,7 @@ class Service:
         load_shedder: Drops expensive work under load, in the order of
             `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
             be reproducible.
-        health: Collects the health of all parts.
+        parts_status: Collects the status of all parts.
         publisher: Passes results and events to the sinks.
         error_boundary: Catches and counts the exceptions of stages, sinks and requests.
         perception: The stages from the detector to the scores; it has the policy and the scorers.
@@ -157,12 +157,12 @@ class Service:
             "load_shedding": self.load_shedder,
             "plausibility": self.plausibility,
         }
-        self.health = HealthWatch(
+        self.parts_status = PartsStatus(
             worker, parts, scorers, self.error_boundary, self.event, overruns, sinks, inputs
         )
         self.publisher = ResultPublisher(
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
-            self.health.status,
+            self.parts_status.status,
         )  # fmt: skip
         self.perception = PerceptionStages(
             config, self.map, worker, policy, scorers, self.latency, input_log,
@@ -317,7 +317,7 @@ class Service:
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         """Write the checkpoint and publish the result to the sinks."""
         try:
-            self.health.check(now_ns)
+            self.parts_status.check(now_ns)
             if self.checkpoint is not None:
                 last_pose = (
                     None if self.pose is None else StampedPose(self.pose, self.stamp_ns, now_ns)
@@ -368,7 +368,7 @@ class Service:
         """
         self._input_log.note("config", config=config)
         self.config, self.perception.policy = config, policy
-        self.ground = self.health.parts["ground"] = ground
+        self.ground = self.parts_status.parts["ground"] = ground
         self.map.reconfigure(config)
         self.detector_swap.perception = config.perception
         if self.load_shedder is not None:

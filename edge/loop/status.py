@@ -15,7 +15,7 @@ from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scoring.scorers import Scorers
 from edge.loop.source import InputStatus, inputs_status
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.worker import DetectorWorker
 from edge.tasks.facts import TaskStatus, lengths_m, thinned
 from edge.text import MAX_CHARS, bounded_lines, one_line
@@ -36,7 +36,7 @@ def status_message(result: TickResult) -> dict[str, object]:
         "mission": mission_json(result.mission()),
         "task": task_json(result.task()),
         "frontiers": len(result.frontiers()),
-        **result.health(),
+        **result.parts(),
     }
 
 
@@ -89,8 +89,8 @@ class Part(Protocol):
         """Return the status, JSON-ready; any thread may call this."""
 
 
-class HealthWatch:
-    """Collects the health of all parts of the loop, and reports when the detector fails.
+class PartsStatus:
+    """Collects the status of all parts of the loop, and reports when the detector fails.
 
     Args:
         worker: Runs the detector.
@@ -122,7 +122,7 @@ class HealthWatch:
         self._worker, self.parts, self._scorers = worker, parts, scorers
         self._error_boundary, self._event = error_boundary, event
         self.overruns, self._sinks, self.inputs = overruns, sinks, inputs
-        self._reported = Health()  # state and detail of the detector that were reported
+        self._reported = ModelHealth()  # state and detail of the detector that were reported
 
     def check(self, now_ns: int) -> None:
         """Report once that the detector is degraded or replaced, and once that it works again."""
@@ -133,14 +133,14 @@ class HealthWatch:
         elif health.state == "ok" and health.detail:
             if not (reported.state == "ok" and reported.detail):
                 self._event(f"detector {name}: {health.detail}", now_ns)
-        elif health.state == "ok" and reported != Health():
+        elif health.state == "ok" and reported != ModelHealth():
             self._event(f"detector {name}: works again", now_ns)
         elif health.state != "degraded":
             return
         self._reported = health
 
     def status(self) -> dict[str, Any]:
-        """Return the health of each part for the status message."""
+        """Return the status of each part for the status message."""
         worker = self._worker
         return {
             "loop": {**self._error_boundary.status(), "overruns": self.overruns()},
@@ -157,11 +157,11 @@ class HealthWatch:
         }
 
 
-def detector_health(worker: DetectorWorker) -> Health:
+def detector_health(worker: DetectorWorker) -> ModelHealth:
     """Return the detector's health: its own report, or degraded if its newest images failed."""
     reported = worker.detector.health()
     if reported.state == "ok" and worker.stats.in_a_row >= DEGRADED_AFTER:
-        return Health("degraded", f"fails on every image: {worker.stats.last_error}")
+        return ModelHealth("degraded", f"fails on every image: {worker.stats.last_error}")
     return reported
 
 

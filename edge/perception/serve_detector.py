@@ -20,7 +20,7 @@ from edge.perception.factory import make_detector
 from edge.perception.process import wire
 from edge.perception.process.child import Answer, run_child
 from edge.perception.process.wire import FrameView
-from edge.perception.runtime.health import Health, ProgressCallback
+from edge.perception.runtime.health import ModelHealth, ProgressCallback
 from edge.text import read_json_object
 from edge.types import Observation
 
@@ -33,7 +33,7 @@ def main(make: Make = make_detector) -> int:
     def load(request: dict[str, Any], control: socket.socket) -> Answer:
         sending = threading.Lock()
 
-        def progress(health: Health) -> None:  # on any thread, but only until `make` returns
+        def progress(health: ModelHealth) -> None:  # on any thread, but only until `make` returns
             with sending:
                 control.send(wire.encode(health=health))
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from edge.loop.behaviours.plan_worker import PlanResult
 from edge.loop.input_log import InputLog, LoopInput
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import ImageSimilarity
 from edge.recording import journal
@@ -42,8 +42,8 @@ class NullModel:
 
     prepare = answer = score = detect  # other models' methods, which are not called either
 
-    def health(self) -> Health:
-        return Health()
+    def health(self) -> ModelHealth:
+        return ModelHealth()
 
     def close(self) -> None:
         """Do nothing."""

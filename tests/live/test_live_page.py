@@ -376,7 +376,7 @@ def test_the_missing_input_is_named_in_banner_and_health(page, house):
     for name in ("camera/rgb", "camera/info", "odom"):
         inputs.on_message(name)
     inputs.on_dropped("odom", "malformed", "<b>no odometry</b>")
-    house.service.health.inputs = inputs.rows
+    house.service.parts_status.inputs = inputs.rows
     house.robot.blind = True
     page.says(
         "#banner", "no usable observations: no message yet on camera/depth; every message on odom"

@@ -19,7 +19,7 @@ from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import ContextBoxes, Detections, Observation
 
 SITE = Site((Place("dock", SE2(1.0, 2.0, 0.0)),))
-DEAR = ("mission", "task", "instances", "objects", "candidates", "path", "layers", "health")
+DEAR = ("mission", "task", "instances", "objects", "candidates", "path", "layers", "parts")
 CAMERA = CameraModel.from_hfov(40, 30, 1.2)
 T_BASE_CAMERA = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1.0]])
 
@@ -73,7 +73,7 @@ def test_with_viewers_data_are_collected_once_per_period(sink, clock):
     assert sink.snapshot.at_s == gathered[-1]
 
 
-@pytest.mark.parametrize("of", ["objects", "layers", "health"])
+@pytest.mark.parametrize("of", ["objects", "layers", "parts"])
 def test_expensive_data_are_collected_once_per_second(sink, clock, of):
     sink.mark_watched()
     gathered = []

@@ -24,7 +24,7 @@ from edge.memory import KnownObject, Place, Site, Zone
 from edge.types import Goal, GoalStatus, Instance, MissionStatus
 
 EVIL = "<script>\u202e\ud800'\"&\x1b[31m"
-HEALTH = {
+PARTS = {
     "loop": {"state": "ok", "failed": 0, "last_error": EVIL}, "checkpoint": None,
     "detector": {"model": EVIL, "state": "ok"}, "swap": {}, "scorers": {},
 }  # fmt: skip
@@ -63,7 +63,7 @@ def full() -> dict:
         "objects": lambda: [KnownObject(1, EVIL, (1.0, 2.0, 0.5), 0.5, 3, 4.0)],
         "rooms": (KITCHEN,),
         "site": Site((Place("dock", SE2(1, 2, 0)), Zone("pit", "keep_out", PIT_M))),
-        "path": lambda: np.ones((5000, 2), np.float32), "health": lambda: HEALTH,
+        "path": lambda: np.ones((5000, 2), np.float32), "parts": lambda: PARTS,
         "layers": lambda: {"value of chair": lambda: Grid(np.full((2, 3), 9, np.uint8), (0, 0), 1)},
     }  # fmt: skip
 

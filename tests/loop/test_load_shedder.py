@@ -18,7 +18,7 @@ from edge.loop import load_shedder as module
 from edge.loop.load_shedder import LoadShedder
 from edge.loop.status import status_message
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.swap import detector as swapped
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
@@ -48,7 +48,7 @@ class Fake:
         )  # fmt: skip
 
     def health(self):
-        return Health("degraded", self.ill) if self.ill else Health()
+        return ModelHealth("degraded", self.ill) if self.ill else ModelHealth()
 
     def close(self):
         self.closed = True

@@ -25,8 +25,8 @@ from edge.loop import runner
 from edge.loop.error_boundary import DEGRADED_AFTER
 from edge.loop.runner import RunningService, loop
 from edge.loop.stages import STAGES
-from edge.loop.status import HealthWatch, status_message
-from edge.perception.runtime.health import Health
+from edge.loop.status import PartsStatus, status_message
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.worker import DetectorWorker
 from edge.types import GoalStatus, Observation
 
@@ -84,7 +84,7 @@ def running_of(
     servers = {"mission/request": SimpleNamespace(serve=lambda now_ns: 0)}
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
-        service.perception.worker = service.health._worker = worker
+        service.perception.worker = service.parts_status._worker = worker
     return RunningService(closed.config, service, service.perception.worker, source, servers)
 
 
@@ -277,13 +277,13 @@ def test_a_failing_detector_is_degraded_until_it_works_again(inline, monkeypatch
 
 def test_each_change_of_the_detector_is_reported_once():
     """A detector on a server is replaced by one here, fails altogether, and works again."""
-    far, near = Health(), Health("ok", "near answers until far does again: no connection")
-    loads, ill = Health("building engine", "5 s"), Health("degraded", "near: it ended")
+    far, near = ModelHealth(), ModelHealth("ok", "near answers until far does again: no connection")
+    loads, ill = ModelHealth("building engine", "5 s"), ModelHealth("degraded", "near: it ended")
     now = SimpleNamespace(health=far)
     detector = SimpleNamespace(name="far", health=lambda: now.health)
     worker = SimpleNamespace(detector=detector, stats=SimpleNamespace(in_a_row=0))
     texts: list[str] = []
-    watch = HealthWatch(worker, {}, None, None, lambda text, now_ns: texts.append(text))
+    watch = PartsStatus(worker, {}, None, None, lambda text, now_ns: texts.append(text))
     for now.health in (loads, far, far, near, near, ill, ill, near, far, near, far, far):
         watch.check(0)
     assert [text.removeprefix("detector far: ") for text in texts] == [

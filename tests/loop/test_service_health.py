@@ -20,7 +20,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.error_boundary import DEGRADED_AFTER
 from edge.loop.monitoring.service_health import HANGS_S, ServiceHealth
 from edge.loop.runner import RunningService
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.worker import DetectorWorker
 from edge.sources.synchronizer import TimeSynchronizer
 
@@ -86,7 +86,7 @@ def test_the_service_is_ready_after_its_first_observation(watched):
 
 def test_a_missing_input_is_named_and_logged_once(watched, caplog):
     inputs = TimeSynchronizer(watched.closed.config, lambda: 0).inputs
-    watched.running.service.health.inputs = inputs.rows
+    watched.running.service.parts_status.inputs = inputs.rows
     watched.vitals.ready()
     why = "no usable observations: no message yet on camera/rgb, camera/depth, camera/info, odom"
     assert watched.beat()[-1] == f"STATUS=not ready: {why} (searching: bed)"
@@ -161,8 +161,8 @@ class Stuck:
         self.over.wait()
         raise ValueError("let go")
 
-    def health(self) -> Health:
-        return Health()
+    def health(self) -> ModelHealth:
+        return ModelHealth()
 
     def close(self) -> None: ...
 

@@ -22,7 +22,7 @@ from edge.perception import serve_detector as serve
 from edge.perception.embedding.text import PromptError
 from edge.perception.process import wire
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.types import Detections
 
 SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE, TOO_MANY = range(1, 9)
@@ -62,7 +62,7 @@ class Steered:
     def __init__(self, prompts):
         self._started = False
         self.set_prompts(prompts)
-        self._health, self._started = Health(), True
+        self._health, self._started = ModelHealth(), True
 
     def set_prompts(self, prompts):
         if "nonsense" in prompts:
@@ -78,7 +78,9 @@ class Steered:
         if order == TOO_MANY:  # a box takes more than a byte
             n = wire.MAX_BYTES
         ORDERS.get(order, lambda: None)()
-        self._health = Health("building engine", "3 of 9") if order == ENGINE else Health()
+        self._health = (
+            ModelHealth("building engine", "3 of 9") if order == ENGINE else ModelHealth()
+        )
         right = np.nan if order == NAN else width
         return Detections(
             observation=observation,
@@ -96,7 +98,7 @@ class Steered:
 def make(perception, prompts, progress):
     script = Path(perception.detector.vocabulary or os.devnull)
     if script.read_text() == "build":
-        progress(Health("building engine", "1 of 2"))
+        progress(ModelHealth("building engine", "1 of 2"))
     while (said := script.read_text()) in ("wait", "build"):
         time.sleep(0.01)
     if said == "exit":

@@ -17,7 +17,7 @@ from edge import config
 from edge.perception.masks.grabcut import GrabcutSegmenter
 from edge.perception.masks.masker import Masker
 from edge.perception.masks.segmenter import Deadline, rasterise
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.worker import DetectorWorker
 from edge.types import MASK_SIDE, Detections
 
@@ -208,7 +208,7 @@ class Finder:
         return found_in(observation, BOX)
 
     def health(self):
-        return Health()
+        return ModelHealth()
 
     def close(self): ...
 

@@ -25,7 +25,7 @@ from edge.perception.factory import make_detector
 from edge.perception.process import link, supervised, wire
 from edge.perception.process.wire import ModelProcessError
 from edge.perception.runtime.cards import ModelError, card_names
-from edge.perception.runtime.health import Health, log_progress
+from edge.perception.runtime.health import ModelHealth, log_progress
 from edge.perception.swap import detector as swaps
 
 FAKE = Path(__file__).parent / "fake_model_process.py"
@@ -117,8 +117,8 @@ def test_a_detector_in_a_process_returns_boxes(make, seen, place, tmp_path):
         script.write_text("")
 
     detector = make(prompts=("chair", "sofa"), script=script, progress=progress)
-    assert told == [Health("building engine", "1 of 2")]
-    assert detector.health() == Health()
+    assert told == [ModelHealth("building engine", "1 of 2")]
+    assert detector.health() == ModelHealth()
     observation = seen(hw=(8, 10))
     found = detector.detect(observation)
     assert found.observation is observation
@@ -129,7 +129,7 @@ def test_a_detector_in_a_process_returns_boxes(make, seen, place, tmp_path):
     assert found.prompts == detector.prompts == ("chair", "sofa")
     assert found.model == detector.name == "steered"
     assert found.latency_ns > 0
-    assert detector.health() == Health()
+    assert detector.health() == ModelHealth()
     assert detector.invalid_boxes == 7
     larger = seen(hw=(480, 640), value=102)
     assert detector.detect(larger).score[0] == np.float32(larger.rgb.mean() / 255)
@@ -137,9 +137,9 @@ def test_a_detector_in_a_process_returns_boxes(make, seen, place, tmp_path):
     with pytest.raises(ValueError, match="it has no camera image to detect objects in"):
         detector.detect(seen().__class__(seq=1, stamp_ns=0, T_map_base=np.eye(4)))
     detector.detect(seen(ENGINE))
-    assert detector.health() == Health("building engine", "3 of 9")
+    assert detector.health() == ModelHealth("building engine", "3 of 9")
     detector.detect(seen())
-    assert detector.health() == Health()
+    assert detector.health() == ModelHealth()
 
     with pytest.raises(ModelProcessError, match="steered, in its process: RuntimeError: no luck"):
         detector.detect(seen(FAILURE))
@@ -281,7 +281,7 @@ def test_prompts_refused_later_raise_in_detect(make, seen, monkeypatch):
         detector.set_prompts(["nonsense"])
         assert "sent a damaged message (not JSON); it was killed" in detector.health().detail
     eventually(lambda: pid_of(detector) != pid and detector.health().state != "restarting")
-    assert detector.health() == Health()
+    assert detector.health() == ModelHealth()
     with pytest.raises(PromptError, match="'nonsense'"):
         detector.detect(seen())
     detector.set_prompts(["sofa"])

@@ -16,7 +16,7 @@ from edge.perception.embedding.text import PromptError
 from edge.perception.process import wire
 from edge.perception.process.wire import FrameFile, FrameView, ModelProcessError
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.text import read_json_object
 from edge.types import ContextBoxes, Detections
 
@@ -69,7 +69,7 @@ def test_an_answer_arrives_bit_for_bit(data, n):
         data.draw(npst.arrays(np.int32, n, elements=st.integers(0, 1))),
         data.draw(st.none() | npst.arrays(np.float32, n, elements=UNITS)),
     )
-    told = Health("building engine", "a line")
+    told = ModelHealth("building engine", "a line")
     answer = wire.decode_answer(3, *encode(found, told))
     for name in ("xyxy_px", "score", "class_id", "competing_score"):
         sent, came = getattr(found, name), getattr(answer.found, name)

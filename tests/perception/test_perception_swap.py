@@ -14,7 +14,7 @@ from simulated import simulated
 
 from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import WHY_INVALID, Health
+from edge.perception.runtime.health import WHY_INVALID, ModelHealth
 from edge.perception.swap import detector as swapped
 from edge.perception.swap.base import SwapError
 from edge.perception.swap.detector import DetectorSwap
@@ -60,7 +60,9 @@ class Fake:
         )  # fmt: skip
 
     def health(self):
-        return self.then.get("health", Health()) if self.images >= self.from_ else Health()
+        return (
+            self.then.get("health", ModelHealth()) if self.images >= self.from_ else ModelHealth()
+        )
 
     def close(self):
         self.closed += 1
@@ -215,8 +217,8 @@ def test_a_model_is_first_tried_in_a_process(bench, fails):
         ({"box": (NAN, 0, 1, 1)}, "it returns boxes that are not finite"),
         ({"score": 1e30}, "it returns scores that are not in 0 to 1"),
         ({"ms": 30}, "too slow: 5 images, median 30.0 ms, perception.swap.budget_ms is 20"),
-        ({"health": Health("degraded", "ended 8 times")}, "degraded: ended 8 times"),
-        ({"health": Health("restarting", "it ended")}, "restarting: it ended"),
+        ({"health": ModelHealth("degraded", "ended 8 times")}, "degraded: ended 8 times"),
+        ({"health": ModelHealth("restarting", "it ended")}, "restarting: it ended"),
     ],
 )
 @pytest.mark.parametrize("inline", [True, False])
@@ -317,7 +319,7 @@ class Slow(Fake):
 
 def test_the_build_of_an_engine_is_reported(bench):
     b = bench(Slow())
-    b.building = Health("building engine", "40 s")
+    b.building = ModelHealth("building engine", "40 s")
     b.swapper.request("new", False, 0)
     assert b.new.begun.wait(PATIENCE_S)
     status = b.swapper.status()
@@ -450,7 +452,7 @@ def test_a_busy_detector_is_closed_after_its_image(bench):
     b.new.entered.clear()
     b.worker.submit(b.frame())
     assert b.new.entered.wait(PATIENCE_S)
-    b.new.then = {"health": Health("degraded", "")}
+    b.new.then = {"health": ModelHealth("degraded", "")}
     b.swapper.step(0)
     assert b.swapper.state == "rolled back"
     assert b.worker.uses(b.new)

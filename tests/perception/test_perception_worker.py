@@ -13,7 +13,7 @@ from patience import PATIENCE_S, eventually
 
 from edge.chat import ChatError
 from edge.host import worker as host
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.worker import DetectorWorker, ScorerWorker
 from edge.types import Detections, Observation
 
@@ -23,7 +23,7 @@ class Fake:
 
     name = "fake"
     prompts = ("chair",)
-    own = Health()
+    own = ModelHealth()
 
     def __init__(self, bad=()):
         self.gate = threading.Semaphore(0)
@@ -103,7 +103,7 @@ def test_failures_in_a_row_end_with_a_result(frames, inline, caplog):
     worker, rows = DetectorWorker(fake := Fake(bad=(0, 1, 3)), inline), []
     fake.gate.release(len(frames))
     for frame in frames:
-        fake.own = Health("restarting", "it ended") if frame.seq == 1 else Health()
+        fake.own = ModelHealth("restarting", "it ended") if frame.seq == 1 else ModelHealth()
         worker.submit(frame)
         eventually(lambda: worker.idle)
         rows.append(worker.stats.in_a_row)
@@ -191,7 +191,7 @@ class Steered:
         return looked
 
     def health(self):
-        return Health()
+        return ModelHealth()
 
     def close(self): ...
 

@@ -8,7 +8,7 @@ import time
 import pytest
 import zenoh
 from patience import eventually
-from results import health, observation, result
+from results import observation, parts, result
 from ros_messages import from_ros
 from simulated import simulated
 from task_facts import driving, looking, written
@@ -208,7 +208,7 @@ def test_a_tick_is_repeated_for_a_late_controller(session, ears):
 
 
 def test_an_unencodable_status_does_not_stop_the_sink(sink, ears, caplog):
-    sink.tick(result(health=lambda: {**health(), "detector": {"score": float("nan")}}))
+    sink.tick(result(parts=lambda: {**parts(), "detector": {"score": float("nan")}}))
     eventually(lambda: "status" in caplog.text)  # a newer one would take its place
     sink.tick(result(10**10))
     assert json.loads(ears.hear("status"))["phase"] == "searching"

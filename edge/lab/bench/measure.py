@@ -16,7 +16,7 @@ from edge.lab.bench.boxes import DetectedBoxes
 from edge.lab.bench.service import resident_mb
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cuda import gpu_of
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 
@@ -124,7 +124,7 @@ def _others_cores(
     return max(0.0, all_s - own_s) / wall_s
 
 
-def _print_health(health: Health) -> None:
+def _print_health(health: ModelHealth) -> None:
     print(f"{health.state}: {health.detail}", file=sys.stderr, flush=True)
 
 

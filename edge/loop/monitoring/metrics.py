@@ -32,7 +32,7 @@ from edge.loop.runner import RunningService
 from edge.loop.source import NO_DROPS
 from edge.loop.status import detector_health
 from edge.perception.detection.process import ProcessDetector
-from edge.perception.runtime.health import HEALTH_STATES
+from edge.perception.runtime.health import MODEL_STATES
 from edge.tasks.facts import StepState
 from edge.types import MissionPhase
 
@@ -57,7 +57,7 @@ class ScrapeSnapshot:
         service = running.service
         self.running, self.service, self.sinks = running, service, statuses(sinks)
         self.mission, self.goal = service.mission, service.goals.goal
-        self.source, self.inputs = dict(running.source.counters), service.health.inputs()
+        self.source, self.inputs = dict(running.source.counters), service.parts_status.inputs()
         self.failed = {found.name for found in service.plausibility.failed}
         self.latency = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
@@ -194,7 +194,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: dict(s.service.plausibility.refused), ("check",)),
     MetricSpec("edge_overruns_total", "counter",
            "Times that a message buffer (ring) was full, so that messages were lost, by ring.",
-           lambda s: s.service.health.overruns(), ("ring",)),
+           lambda s: s.service.parts_status.overruns(), ("ring",)),
     MetricSpec("edge_pose_jumps_total", "counter", "Pose jumps; each one cleared the map.",
            lambda s: s.service.map.epoch),
     # Errors.
@@ -220,7 +220,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: dict.fromkeys(s.models(), 1), ("part", "model")),
     MetricSpec("edge_detector_state", "state",
            "State of the detector: 1 for the current one, else 0.",
-           lambda s: detector_health(s.running.worker).state, states=HEALTH_STATES),
+           lambda s: detector_health(s.running.worker).state, states=MODEL_STATES),
     MetricSpec("edge_detector_images_total", "counter",
            "Images by outcome: detected, failed, or replaced by a newer image.",
            lambda s: {"detected": s.images.done, "failed": s.images.failed,

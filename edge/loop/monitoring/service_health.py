@@ -181,7 +181,7 @@ def _problems(
         yield f"stopped: {running.latch.reason}"
     if no_observation_s > service.plausibility.blind_s:
         why = service.error_boundary.call(
-            "inputs", running.now_ns, lambda: missing_inputs(service.health.inputs())
+            "inputs", running.now_ns, lambda: missing_inputs(service.parts_status.inputs())
         )
         # Checks of the sensor data for which observations are refused, so that the robot stands.
         why = "; ".join(filter(None, (why, service.plausibility.why("stand"))))

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.types import Detections, Observation
 
 
@@ -44,7 +44,7 @@ class Detector(Protocol):
         """
         ...
 
-    def health(self) -> Health:
+    def health(self) -> ModelHealth:
         """Return the health now; may be called from another thread, never blocks."""
         ...
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.remote import RemoteDetector
 from edge.perception.runtime.fallback import FallbackModel
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.types import Detections, Observation
 
 
@@ -46,13 +46,13 @@ class FallbackDetector:
     def detect(self, observation: Observation) -> Detections:
         return self._models.ask(observation, lambda: self._local.detect(observation))
 
-    def health(self) -> Health:
+    def health(self) -> ModelHealth:
         """Return the health of the detector in use; with a detail while it is the local one."""
         detail = self._models.detail
         if not detail:
             return self._remote.health()
         local = self._local.health()
-        return Health("ok", detail) if local.state == "ok" else local
+        return ModelHealth("ok", detail) if local.state == "ok" else local
 
     def close(self) -> None:
         """Abort the server's current answer, and close both."""

@@ -31,7 +31,7 @@ from edge.perception.runtime.cards import (
     verify_model,
 )
 from edge.perception.runtime.engines import EngineOptions
-from edge.perception.runtime.health import WHY_INVALID, Health, ProgressCallback, log_progress
+from edge.perception.runtime.health import WHY_INVALID, ModelHealth, ProgressCallback, log_progress
 from edge.perception.runtime.sessions import TENSORRT_PROVIDERS, open_session, raise_as_model_error
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -289,8 +289,8 @@ class OnnxDetector:
             raise ModelError(f"model {self.name}: {invalid} boxes are {WHY_INVALID}")
         return prompt_set.class_scores[:, : len(prompt_set.prompts)].max(axis=0)
 
-    def health(self) -> Health:
-        return Health()
+    def health(self) -> ModelHealth:
+        return ModelHealth()
 
     def close(self) -> None:
         """Release the session and its buffers; do not call `detect` afterwards."""

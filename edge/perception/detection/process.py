@@ -15,7 +15,7 @@ from edge.perception.embedding.text import PromptError, check_prompts
 from edge.perception.process.link import ModelProcessClient
 from edge.perception.process.supervised import RestartDelay, SupervisedProcess
 from edge.perception.process.wire import ModelProcessError
-from edge.perception.runtime.health import Health, ProgressCallback, log_progress
+from edge.perception.runtime.health import ModelHealth, ProgressCallback, log_progress
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ class ProcessDetector(SupervisedProcess):
         # The prompts to use, and those of the last answer, which the model accepted.
         self.prompts = self._accepted_prompts = tuple(prompts)
         self._progress = progress
-        self._process_health, self._model_health = Health(), Health()
+        self._process_health, self._model_health = ModelHealth(), ModelHealth()
         self._last_link: ModelProcessClient | None = None  # the process that answered last
         self._invalid_before = 0  # invalid boxes of earlier processes
         self._cancelled = cancelled or threading.Event()
@@ -83,12 +83,12 @@ class ProcessDetector(SupervisedProcess):
         took_ns = time.perf_counter_ns() - start_ns
         return replace(answer.found, observation=observation, model=self.name, latency_ns=took_ns)
 
-    def health(self) -> Health:
+    def health(self) -> ModelHealth:
         """Return the health of the process, or if that is `ok`, of the model; see `Detector`."""
         if self._process_health.state != "ok":
             return self._process_health
         if self._link is not None and self._link.fault:  # the thread is about to report it
-            return Health("restarting", self._link.fault)
+            return ModelHealth("restarting", self._link.fault)
         return self._model_health
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
@@ -113,25 +113,25 @@ class ProcessDetector(SupervisedProcess):
         return self._run_link(first, request, self._report_loading)
 
     def _ready(self, again: bool) -> None:
-        self._model_health = Health()
-        self._set_state(Health())
+        self._model_health = ModelHealth()
+        self._set_state(ModelHealth())
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
         """See `SupervisedProcess`; the state is `degraded` if the model can no longer be loaded."""
         is_process_fault = failed is None or isinstance(failed, ModelProcessError)
         state = "restarting" if is_process_fault and not pause.limit else "degraded"
-        self._set_state(Health(state, f"{why}; {pause}"))
+        self._set_state(ModelHealth(state, f"{why}; {pause}"))
 
     def _is_cancelled(self, first: Future[None]) -> bool:
         """See `SupervisedProcess`; `cancelled` counts for the first start only."""
         return self._closing.is_set() or (self._cancelled.is_set() and not first.done())
 
-    def _report_loading(self, health: Health) -> None:
+    def _report_loading(self, health: ModelHealth) -> None:
         """Report that the model is still loading."""
         self._process_health = health
         self._progress(health)
 
-    def _set_state(self, health: Health) -> None:
+    def _set_state(self, health: ModelHealth) -> None:
         """Set the state, and log it if it changed."""
         level = {"ok": logging.INFO, "restarting": logging.WARNING}.get(health.state, logging.ERROR)
         if health != self._process_health:

@@ -16,7 +16,7 @@ from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import check_prompts
 from edge.perception.runtime.card_types import DetectCard
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health, ProgressCallback, log_progress
+from edge.perception.runtime.health import ModelHealth, ProgressCallback, log_progress
 from edge.perception.runtime.kserve import KServeSession
 from edge.types import Detections, Observation
 
@@ -52,7 +52,7 @@ class RemoteDetector:
         self._session = KServeSession(card)
         self._inner: OnnxDetector | None = None  # once the server has answered
         self._invalid_before = 0  # invalid boxes of earlier models
-        self._health = Health()
+        self._health = ModelHealth()
         self._last_error: ModelError | None = None
         self._failures, self._next_s = 0, 0.0  # failures in a row, end of the pause
         self._asking = threading.Lock()
@@ -84,7 +84,7 @@ class RemoteDetector:
         """See `OnnxDetector.best_scores`; raises like `detect`."""
         return self._with_model(lambda model: model.best_scores(rgb))
 
-    def health(self) -> Health:
+    def health(self) -> ModelHealth:
         """See `Detector.health`: `degraded` while the server gives no usable answers."""
         return self._health
 
@@ -106,7 +106,7 @@ class RemoteDetector:
             except ModelError as error:
                 self._record_failure(error)
                 raise
-            self._last_error, self._failures, self._health = None, 0, Health()
+            self._last_error, self._failures, self._health = None, 0, ModelHealth()
             return found
 
     def _detector(self) -> OnnxDetector:
@@ -125,7 +125,7 @@ class RemoteDetector:
         self._last_error = error
         self._failures += 1
         self._next_s = self._clock() + pause_after(self._failures, PAUSE_S, MAX_PAUSE_S)
-        self._health = Health("degraded", str(error))
+        self._health = ModelHealth("degraded", str(error))
         # An error without a kind is of the answer's content.
         if getattr(error, "kind", "invalid answer") == "invalid answer":
             # The server may run another model by now: make a new detector for it.

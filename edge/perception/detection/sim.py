@@ -13,7 +13,7 @@ import numpy as np
 from edge import config, names
 from edge.perception.detection import kernels
 from edge.perception.embedding.text import PromptError, check_prompts
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.types import ContextBoxes, Detections, Observation
 
 MIN_VISIBLE_PX = 40
@@ -175,8 +175,8 @@ class SimDetector:
             latency_ns=time.perf_counter_ns() - start_ns,
         )
 
-    def health(self) -> Health:
-        return Health()
+    def health(self) -> ModelHealth:
+        return ModelHealth()
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.cards import ModelError
-from edge.perception.runtime.health import Health, invalid_boxes_reason
+from edge.perception.runtime.health import ModelHealth, invalid_boxes_reason
 from edge.text import bounded_repr, one_line
 from edge.types import ContextBoxes, Detections
 
@@ -29,7 +29,7 @@ A longer message is cut off and so refused; most systems do not even send it."""
 END_OF_HEADER = b"\n"
 # Four corners, score, class and competing score (`Detections.competing_score`), of four bytes each.
 _BOX_BYTES = 28
-_STATES = get_args(get_type_hints(Health)["state"])
+_STATES = get_args(get_type_hints(ModelHealth)["state"])
 SHARED_MEMORY = Path("/dev/shm")
 PIXELS_AT = 64
 """Offset of the pixels in the frame file in bytes: a cache line, with the two sequence numbers."""
@@ -45,7 +45,7 @@ class DetectorReply(NamedTuple):
     """Detections of one image (without its observation), and the detector's health."""
 
     found: Detections
-    health: Health
+    health: ModelHealth
     invalid_boxes: int
 
 
@@ -54,7 +54,7 @@ def encode(**header: object) -> bytes:
     return json.dumps(header).encode()
 
 
-def encode_answer(seq: int, found: Detections, health: Health, invalid_boxes: int) -> bytes:
+def encode_answer(seq: int, found: Detections, health: ModelHealth, invalid_boxes: int) -> bytes:
     """Encode the detections of an image, by its number, and the detector's health.
 
     The message is the header, a line end, and a block with the arrays.
@@ -159,7 +159,7 @@ def _unpack(
     return xyxy, score, class_id, competing_score
 
 
-def decode_health(header: dict[str, Any]) -> Health:
+def decode_health(header: dict[str, Any]) -> ModelHealth:
     """Decode the health in a header.
 
     Raises:
@@ -176,7 +176,7 @@ def decode_health(header: dict[str, Any]) -> Health:
         raise ValueError(
             f"health: unknown state {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})"
         )
-    return Health(*health)
+    return ModelHealth(*health)
 
 
 def raise_error(header: dict[str, Any], name: str) -> None:

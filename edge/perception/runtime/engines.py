@@ -28,7 +28,7 @@ from pathlib import Path
 from edge.host import resources
 from edge.host.files import make_writable, read_regular, sync
 from edge.perception.runtime.cuda import gpu_of
-from edge.perception.runtime.health import Health, ProgressCallback, log_progress
+from edge.perception.runtime.health import ModelHealth, ProgressCallback, log_progress
 from edge.perception.runtime.model_file import (
     ModelError,
     check_unchanged,
@@ -138,7 +138,7 @@ def report_progress(
     def report() -> None:
         while True:
             took_s = time.monotonic() - start_s
-            progress(Health("building engine", f"{model}: {took_s:.0f} s, {notes[-1]}"))
+            progress(ModelHealth("building engine", f"{model}: {took_s:.0f} s, {notes[-1]}"))
             if ended.wait(every_s):
                 return
 

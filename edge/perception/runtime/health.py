@@ -10,12 +10,12 @@ import numpy as np
 
 log = logging.getLogger(__name__)
 
-HealthState = Literal["ok", "building engine", "restarting", "degraded"]
-HEALTH_STATES: tuple[HealthState, ...] = get_args(HealthState)
+ModelStateName = Literal["ok", "building engine", "restarting", "degraded"]
+MODEL_STATES: tuple[ModelStateName, ...] = get_args(ModelStateName)
 
 
-class Health(NamedTuple):
-    """The state of a detector.
+class ModelHealth(NamedTuple):
+    """The health of a detector.
 
     Attributes:
         state: `ok`; `building engine` (TensorRT, takes minutes); `restarting` (its process ended);
@@ -24,18 +24,18 @@ class Health(NamedTuple):
         detail: one line for a person, empty if there is nothing to report.
     """
 
-    state: HealthState = "ok"
+    state: ModelStateName = "ok"
     detail: str = ""
 
 
 WHY_INVALID = "not finite, far outside the image, or scored outside 0 to 1"
 """Reason why boxes are invalid and dropped, for every message about them."""
 
-ProgressCallback = Callable[[Health], None]
+ProgressCallback = Callable[[ModelHealth], None]
 """Called every few seconds, on any thread, with the health of a detector that is loading."""
 
 
-def log_progress(health: Health) -> None:
+def log_progress(health: ModelHealth) -> None:
     """Log the health; the default `ProgressCallback`."""
     log.info("%s: %s", health.state, health.detail)
 

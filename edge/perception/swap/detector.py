@@ -16,7 +16,7 @@ from edge.config import DetectorOnnx, PerceptionConfig
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cards import ModelError, load_detector_card
-from edge.perception.runtime.health import Health
+from edge.perception.runtime.health import ModelHealth
 from edge.perception.swap.base import POLL_S, LogCallback, ModelSwap, SwapAttempt
 from edge.perception.swap.trial import (
     failure,
@@ -230,7 +230,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             if not self.switched and self.model.prompts != target:
                 self.model.set_prompts(target)
 
-    def _note_progress(self, health: Health) -> None:
+    def _note_progress(self, health: ModelHealth) -> None:
         """Record the progress of an engine build, which takes minutes."""
         self.load_progress = ": ".join(filter(None, health))
 
