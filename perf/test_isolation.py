@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from edge import config
+from edge.loop.warmup import warm_perception
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cards import ModelError
-from edge.perception.warmup import warmup
 from edge.types import Observation
 
 SHARED_VOCABULARY = (
@@ -32,7 +32,7 @@ def model(request):
 
 @pytest.fixture
 def detector(model, isolation):
-    warmup()
+    warm_perception()
     rules = config.ModelProcessConfig(timeout_s=60.0)
     perception = config.PerceptionConfig(isolation=isolation, process=rules, detector=model)
     try:

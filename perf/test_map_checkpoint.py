@@ -15,9 +15,9 @@ from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.checkpoints.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
 from edge.loop.goals.goal_choice import GoalChooser
 from edge.loop.semantic_map import SemanticMap
+from edge.loop.warmup import warm_mapping
 from edge.mapping import grid as mapping
 from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileCopier
-from edge.mapping.warmup import warmup
 from edge.policies import make_policy
 
 NOW = StampedPose(SE2(0.0, 0.0, 0.0), 10**9, 10**9)
@@ -26,7 +26,7 @@ SETTINGS = {"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "sea
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    warmup(MAPPING)
+    warm_mapping(MAPPING)
 
 
 def settings(cells: int) -> config.Config:

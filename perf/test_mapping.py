@@ -11,8 +11,8 @@ import pytest
 
 from edge import config
 from edge.geometry import SE2, CameraModel, se3, to_optical
+from edge.loop.warmup import warm_mapping
 from edge.mapping import grid, layers
-from edge.mapping.warmup import warmup
 from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(640, 480, math.radians(75))
@@ -22,7 +22,7 @@ MAPPING = config.MappingConfig()
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    warmup(MAPPING)
+    warm_mapping(MAPPING)
 
 
 def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:

@@ -7,17 +7,18 @@ import pytest
 
 from edge.config import PlannerVitl
 from edge.geometry import Grid
+from edge.loop.warmup import warm_planner
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse
 from edge.mission.planning.distances import distances
-from edge.mission.planning.planner import MissionKnowledge, make_planner, warm_up
+from edge.mission.planning.planner import MissionKnowledge, make_planner
 
 DISTANCE = PlannerVitl(weights="distance")
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    warm_up("distance")
+    warm_planner("distance")
 
 
 def unordered(k: int):

@@ -11,6 +11,7 @@ import pytest
 
 from edge import config
 from edge.geometry import CameraModel, se3, to_optical
+from edge.loop.warmup import warm_perception
 from edge.perception.detection import kernels
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
@@ -20,7 +21,6 @@ from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
-from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 
 SHARED_VOCABULARY = (
@@ -31,7 +31,7 @@ BACKGROUND = ("window", "door", "picture frame", "cabinet", "curtain", "person")
 
 @pytest.fixture(scope="module", autouse=True)
 def _warm():
-    warmup()
+    warm_perception()
 
 
 def observe(seed=0, seq=0):

@@ -12,9 +12,9 @@ from edge import config
 from edge.geometry import SE2
 from edge.loop.goals.candidates import CandidatePool
 from edge.loop.goals.goal import GoalTracker
+from edge.loop.warmup import warm_mapping, warm_values
 from edge.mapping.results import Frontiers
 from edge.mapping.view import MapView
-from edge.mapping.warmup import warm_values, warmup
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies import make_policy
 from edge.policies.base import PolicyInput, ScorerOutputs, scores_of
@@ -26,7 +26,7 @@ CANDIDATES, BOXES = 200, 8
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    warmup(MAPPING)
+    warm_mapping(MAPPING)
     warm_values(MAPPING)
 
 

@@ -13,7 +13,7 @@ import pytest
 from test_mapping import CAMERA, MAPPING, T_BASE_CAMERA, explored_map, frames
 
 from edge.geometry import optical_yaw_rad
-from edge.mapping.warmup import warm_values, warmup
+from edge.loop.warmup import warm_mapping, warm_values
 from edge.types import Observation
 
 TARGETS = ("bed", "chair", "sofa", "toilet")
@@ -23,7 +23,7 @@ ROUNDS = 150
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    warmup(MAPPING)
+    warm_mapping(MAPPING)
     warm_values(MAPPING)
 
 

@@ -83,12 +83,10 @@ trajectory_scores(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0
 """
 PERCEPTION = """
 from edge.config import MappingConfig
-from edge.mapping.warmup import warm_values
-from edge.perception.warmup import warmup
-from edge.tasks.warmup import warm_up
-warmup()
+from edge.loop.warmup import warm_perception, warm_tasks, warm_values
+warm_perception()
 warm_values(MappingConfig())
-warm_up()
+warm_tasks()
 """
 _compiling: list[subprocess.Popen] = []
 # In a new checkout the asserts of all tests have to be rewritten as well, which takes twice as long

@@ -14,7 +14,7 @@ from edge.loop import warmup
 from edge.mapping.update import apply_scan
 from edge.perception.tracking.lift_kernels import back_project_boxes
 # What both would not share takes half a minute more.
-warmup.warm_prior = warmup.warm_policy = warmup.warm_tasks = lambda *_: None
+warmup.warm_rooms = warmup.warm_policy = warmup.warm_tasks = lambda *_: None
 warmup.warm_up(simulated())
 print([sum(kernel.stats.cache_misses.values()) for kernel in (apply_scan, back_project_boxes)])
 """

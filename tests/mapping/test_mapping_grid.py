@@ -14,9 +14,9 @@ from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room
 
 from edge import config
 from edge.geometry import SE2, CameraModel
+from edge.loop.warmup import warm_mapping, warm_values
 from edge.mapping import cluster_kernels, layers, points, reach_kernels, unknown, update, values
 from edge.mapping.grid import CLEAR_AFTER, RollingMap
-from edge.mapping.warmup import warm_values, warmup
 from edge.types import Observation
 
 ORIGIN = SE2(0.0, 0.0, 0.0)
@@ -320,7 +320,7 @@ def signatures() -> dict[str, int]:
 
 @pytest.mark.parametrize("kind", ["plain", "read-only", "sliced", "float64"])
 def test_nothing_is_compiled_after_warmup(kind):
-    warmup(SMALL)
+    warm_mapping(SMALL)
     warm_values(SMALL)
     before = signatures()
     grid = RollingMap(SMALL)

@@ -23,7 +23,6 @@ from mission_plan_twins import (
 
 from edge.config import PlannerPlugin, PlannerVitl
 from edge.errors import ConfigError
-from edge.mission.planning import planner as planners
 from edge.mission.planning import vitl
 from edge.mission.planning.planner import MissionKnowledge, TargetPlan, make_planner
 from edge.mission.planning.vitl import order_of_relaxation
@@ -289,11 +288,6 @@ def test_work_is_done_from_acceptance_outwards():
     automaton = compiled("F(a & F(b & F c))")
     left = automaton.steps_left[order_of_relaxation(automaton)]
     assert left.tolist() == [1, 2, 3]
-
-
-@pytest.mark.parametrize("weights", ["constant", "distance"])
-def test_warm_up_runs(weights):
-    planners.warm_up(weights)
 
 
 class Alphabetical:

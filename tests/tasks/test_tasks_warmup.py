@@ -8,12 +8,12 @@ import numpy as np
 from task_scenes import STREET, street
 
 from edge.config import RobotConfig, TasksConfig
+from edge.loop.warmup import room, warm_tasks
 from edge.tasks.refine import refine, refine_again
 from edge.tasks.scene import scan_kernels
 from edge.tasks.scene.objects import ObjectMap
 from edge.tasks.scene.scene_builder import add_detections
 from edge.tasks.scene.value_map import PathMargins
-from edge.tasks.warmup import room, warm_up
 from edge.tasks.write import write_trajectory
 from edge.trajectory import kernels
 from edge.trajectory.pursuit import MotionLimits
@@ -31,7 +31,7 @@ def signatures() -> dict[str, list[tuple]]:
 
 
 def test_nothing_is_compiled_after_warmup():
-    warm_up()
+    warm_tasks()
     before = signatures()
     assert all(before.values())
     seen, k = room(), 3

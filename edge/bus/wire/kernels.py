@@ -190,15 +190,3 @@ def exact_millimetres(depth_m: np.ndarray, out_mm: np.ndarray) -> bool:
         others += np.float32(mm) * np.float32(0.001) != depth_m[i]
         out_mm[i] = mm
     return others == 0
-
-
-def warmup() -> None:
-    """Compile the kernels for the argument types of the codecs (payloads are read-only)."""
-    exact_millimetres(np.zeros(1, np.float32), np.zeros(1, np.uint16))
-    points_m = np.zeros((2, 3), np.float32)
-    ranges_m = np.frombuffer(bytes(8), np.float32)
-    cloud = np.frombuffer(bytes(24), np.uint8)
-    depth_m = np.zeros((1, 1), np.float32)
-    depth_of_integers(cloud, 0, 2, False, np.float32(1.0), np.uint16(1), depth_m)
-    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32))
-    scan_points(ranges_m, 0.0, 0.1, 0.1, 1.0, 1.0, points_m)

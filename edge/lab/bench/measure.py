@@ -14,10 +14,10 @@ from edge.host import machine
 from edge.lab.bench import isolated
 from edge.lab.bench.boxes import DetectedBoxes
 from edge.lab.bench.service import resident_mb
+from edge.loop.warmup import warm_perception
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cuda import gpu_of
 from edge.perception.runtime.health import ModelHealth
-from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 
 WARM_FRAMES = 5  # frames before the measurement
@@ -66,7 +66,7 @@ class DetectorMeasurement:
 def measure(job: DetectorJob) -> DetectorMeasurement:
     """Load the model, run it over all frames, and return times, memory and boxes."""
     seen = [Observation(k, k * 100_000_000, np.eye(4), rgb) for k, rgb in enumerate(job.rgb)]
-    warmup()  # compile first: the time does not belong to the model
+    warm_perception()  # compile first: the time does not belong to the model
     before_mb, gpu_before_mb = resident_mb(), machine.gpu_memory_mb()
     began = time.perf_counter()
     detector = make_detector(PerceptionConfig(detector=job.detector), job.prompts, _print_health)

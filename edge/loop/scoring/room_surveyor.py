@@ -5,19 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from edge.config import Config
 from edge.host.worker import Worker
-from edge.loop.scoring.prior import LocationPrior
-from edge.mapping.grid import RollingMap
 from edge.mapping.points import TALL
 from edge.mapping.regions import survey_regions
 from edge.mapping.view import MapView
 from edge.memory import RoomMemory, RoomSurvey, survey_rooms
-from edge.perception.prior.table import load
-from edge.perception.prior.words import PriorWordIndex
-from edge.perception.tracking.tracked_objects import TrackedObjects
 
 PERIOD_NS = 1_000_000_000
 """Shortest time between two surveys."""
@@ -61,20 +53,3 @@ class RoomSurveyor:
     def close(self) -> None:
         """Stop the background work."""
         self._worker.close()
-
-
-def warm_up(config: Config) -> None:
-    """Compile the kernels of rooms and prior, or read them from the cache."""
-    grid, objects, table = RollingMap(config.mapping), TrackedObjects(1), load()
-    grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
-    words = PriorWordIndex(table)
-    rooms, prior = RoomMemory(table, words), LocationPrior("both", table, words)
-    objects.words.append(table.classes[0])
-    objects.n = 1
-    seen = objects.read_only()
-    RoomSurveyor(inline=True).step(rooms, MapView(grid), 0)
-    rooms.update(seen, 0)
-    prior.step(rooms.survey.regions, seen)
-    prior.likelihood_ratio(
-        table.classes[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32)
-    )

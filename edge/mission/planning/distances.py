@@ -71,12 +71,6 @@ def distances(
     return _cost_matrix(state, step, ends, [*ends, start]) / STRAIGHT * side_m
 
 
-def warm_up() -> None:
-    """Compile the kernels, or load them from the cache."""
-    snapshot = Grid(np.zeros((4, 4), np.int8), (0.0, 0.0), 0.2)
-    distances(snapshot, (0.1, 0.1), [np.array([[0.7, 0.7]])])
-
-
 def _cost_matrix(
     state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], starts: list[np.ndarray]
 ) -> np.ndarray:

@@ -10,18 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from edge.config import PlannerInOrder, PlannerPlugin, PlannerVitl
 from edge.config.components import component_factory
 from edge.mission.logic.automaton import Automaton
-from edge.mission.logic.ltl import Formula
-from edge.mission.planning import distances
 from edge.mission.planning.in_order import InOrderPlanner
 from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
 from edge.mission.planning.vitl import VitlPlanner
 
-__all__ = ["MissionKnowledge", "Planner", "TargetPlan", "make_planner", "warm_up"]
+__all__ = ["MissionKnowledge", "Planner", "TargetPlan", "make_planner"]
 
 # Kind of a planner → its class.
 REGISTRY: dict[str, Any] = {"vitl": VitlPlanner, "in_order": InOrderPlanner}
@@ -58,17 +54,3 @@ def find_plugin_planner(config: PlannerPlugin, where: str) -> Callable[..., Plan
     """
     needs, given = ("plan()",), ("automaton", "instruction")
     return component_factory("planner", config.kind, config.options, REGISTRY, where, needs, given)
-
-
-def warm_up(weights: str) -> None:
-    """Compile the planner's kernels for these weights, or load them from the cache."""
-    automaton = Automaton(
-        formula=Formula("ap", name="a"),
-        propositions=("a",),
-        delta=np.array([[1, 0], [1, 1]], np.int32),
-        accepting=np.array([False, True]),
-        steps_left=np.array([1, 0], np.int32),
-    )
-    make_planner(PlannerVitl(weights=weights), automaton).plan(0, MissionKnowledge())
-    if weights == "distance":
-        distances.warm_up()
