@@ -196,10 +196,11 @@ def open_service(
             }
 
         service = Service(
-            config, spec, worker, policy, all_sinks, checkpoint, scorers, overruns,
-            calibration.load(), idle, inputs=getattr(source, "input_table", tuple), site=site,
-            ground=ground,
+            config, spec, worker, policy, all_sinks, checkpoint, scorers, calibration.load(), idle,
+            site=site, ground=ground,
         )  # fmt: skip
+        service.parts_status.overruns = overruns
+        service.parts_status.inputs = getattr(source, "input_table", tuple)
         stack.callback(service.close)
 
         def prepare(**request: Any) -> MissionSpec:

@@ -7,7 +7,7 @@ measure latency, so the same observations give the same goals.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from time import perf_counter_ns
 
@@ -32,7 +32,6 @@ from edge.loop.publish import ResultPublisher
 from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scoring.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
-from edge.loop.source import InputStatus
 from edge.loop.stages import (
     CANDIDATES,
     CHECK,
@@ -69,13 +68,9 @@ class Service:
         sinks: Receive the results; their methods never block.
         checkpoint: Saves the state, and holds the state to restore.
         scorers: Models that are queried in the background; None if none is configured.
-        overruns: Function that returns the number of reads that found a message ring (the buffer of
-            received messages) full, by ring.
         calibration: Calibration of this computer; None: stages have deadlines only, no budgets.
         idle: Do not start the mission. The robot stands still until a mission is requested.
         input_log: Input log; None: a new one is made.
-        inputs: Function that returns the source's table of inputs, for any thread; empty if the
-            source has none.
         site: Places and zones; None: those of this run only.
         ground: Names the kinds of ground in images for tasks (`tasks.ground`); None: all ground is
             of one kind.
@@ -109,11 +104,9 @@ class Service:
         sinks: Sequence[Sink],
         checkpoint: ServiceCheckpoint | None = None,
         scorers: Scorers | None = None,
-        overruns: Callable[[], dict[str, int]] = dict,
         calibration: SpeedCalibration | None = None,
         idle: bool = False,
         input_log: InputLog | None = None,
-        inputs: Callable[[], Sequence[InputStatus]] = tuple,
         site: SiteFile | None = None,
         ground: GroundClassifier | None = None,
     ) -> None:
@@ -158,7 +151,7 @@ class Service:
             "plausibility": self.plausibility,
         }
         self.parts_status = PartsStatus(
-            worker, parts, scorers, self.error_boundary, self.event, overruns, sinks, inputs
+            worker, parts, scorers, self.error_boundary, self.event, sinks
         )
         self.publisher = ResultPublisher(
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,

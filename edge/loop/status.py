@@ -98,14 +98,13 @@ class PartsStatus:
         scorers: The scorers, if any.
         error_boundary: Counts the exceptions of the loop.
         event: Called with a text for people and the loop time in ns.
-        overruns: Returns the number of reads that found a message ring full, by ring.
         sinks: See `edge.loop.publish.statuses`.
-        inputs: Returns the source's table of inputs; empty if it has none.
 
     Attributes:
         parts: The parts that report their own status, by name; None: there is no such part.
-        overruns: As in `Args`.
-        inputs: As in `Args`.
+        overruns: Returns the number of reads that found a message ring (the buffer of received
+            messages) full, by ring; may be set.
+        inputs: Returns the source's table of inputs to any thread; may be set.
     """
 
     def __init__(
@@ -115,13 +114,13 @@ class PartsStatus:
         scorers: Scorers | None,
         error_boundary: ErrorBoundary,
         event: Callable[[str, int], None],
-        overruns: Callable[[], dict[str, int]] = dict,
         sinks: Sequence[Sink] = (),
-        inputs: Callable[[], Sequence[InputStatus]] = tuple,
     ) -> None:
         self._worker, self.parts, self._scorers = worker, parts, scorers
         self._error_boundary, self._event = error_boundary, event
-        self.overruns, self._sinks, self.inputs = overruns, sinks, inputs
+        self._sinks = sinks
+        self.overruns: Callable[[], dict[str, int]] = dict
+        self.inputs: Callable[[], Sequence[InputStatus]] = tuple
         self._reported = ModelHealth()  # state and detail of the detector that were reported
 
     def check(self, now_ns: int) -> None:
