@@ -5,6 +5,9 @@ that the detector looks for. Each object is one row of parallel arrays. `ObjectT
 with each image. The memory, the prior, rooms and policies read them as `TrackedObjects`. The
 targets among the objects are tracked in more detail, in `instances`. Names such as `tau_det` and
 `merge_m` are keys of `perception` in the configuration.
+
+Use it for what is where: thousands of objects with a few points each. Use `instances` for the
+targets, and `edge.tasks.scene.objects` for the extent of an object that a trajectory passes.
 """
 
 from __future__ import annotations

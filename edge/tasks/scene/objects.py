@@ -1,4 +1,9 @@
-"""3-D object map: boxes of objects, merged from many pictures (OpenNav III-B)."""
+"""3-D object map: boxes of objects, merged from many pictures (OpenNav III-B).
+
+Use it for the extent of the few objects of a task, with up to `MOST_POINTS` points each: it
+compares a detection with all of them. For each image of a mission, `edge.perception.tracking` has
+`instances` (the targets) and `sightings` (everything else).
+"""
 
 from __future__ import annotations
 
