@@ -68,17 +68,12 @@ def cost_to_go(delta, accepting, order, weight, cost, steps):
 
 @jit
 def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_steps):
-    """Write cost and steps of the best path that begins with each column.
+    """Write cost and steps of the best path from a node that begins with each column.
 
-    Args:
-        delta: see `cost_to_go`.
-        weight: see `cost_to_go`.
-        cost: output of `cost_to_go`.
-        steps: output of `cost_to_go`.
-        state: state of the automaton.
-        place: place of the robot.
-        out_cost: (k + 1,) int64 output; UNREACHABLE if a step leads nowhere or keeps the state.
-        out_steps: (k + 1,) int32 output.
+    See `cost_to_go` for the other arguments, of which it has filled `cost` and `steps`.
+
+    - `out_cost`: (k + 1,) int64 output; UNREACHABLE if a step leads nowhere or keeps the state.
+    - `out_steps`: (k + 1,) int32 output.
     """
     n_columns, n_places = weight.shape
     for c in range(n_columns):
@@ -91,21 +86,10 @@ def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_ste
 
 @jit
 def follow(delta, accepting, weight, cost, steps, state, place, first, path):
-    """Write the best path that begins with the column `first`; ties go to the first column.
+    """Write the columns of the best path from a node that begins with `first`; return its length.
 
-    Args:
-        delta: see `cost_to_go`.
-        accepting: see `cost_to_go`.
-        weight: see `cost_to_go`.
-        cost: output of `cost_to_go`.
-        steps: output of `cost_to_go`.
-        state: state of the automaton.
-        place: place of the robot.
-        first: the first column.
-        path: int32 output, columns.
-
-    Returns:
-        Length of the path.
+    Ties go to the first column. See `cost_to_go` for the other arguments, of which it has filled
+    `cost` and `steps`; `path` is an int32 output.
     """
     n_columns, n_places = weight.shape
     column, length = first, 0

@@ -62,22 +62,12 @@ def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
 def match_near(
     index, n, search_m, near, centers, points, n_points, reach, word, of_word, x, y, merge_m
 ):  # fmt: skip
-    """Return `match` among the rows near a place.
+    """Return `match`, with its arguments, among the rows near a place.
 
-    Args:
-        index: see `place_index.PlaceIndex`.
-        n: number of rows.
-        search_m: distance of the place from the farthest centre that may match.
-        near: (cap,) int32, scratch.
-        centers: see `match`.
-        points: see `match`.
-        n_points: see `match`.
-        reach: see `match`.
-        word: see `match`.
-        of_word: see `match`.
-        x: see `match`.
-        y: see `match`.
-        merge_m: see `match`.
+    - `index`: see `place_index.PlaceIndex`.
+    - `n`: number of rows.
+    - `search_m`: distance of the place from the farthest centre that may match.
+    - `near`: (cap,) int32, scratch.
     """
     k = rows_near(index, n, x, y, search_m, near)
     return match(centers, points, n_points, reach, word, near[:k], of_word, x, y, merge_m)
@@ -97,16 +87,11 @@ def reach_of(centers, points, n_points, i):
 def find_duplicate(index, centers, word, n, now, near_m, rows):
     """Find two rows of one word whose centres are closer than `near_m`.
 
-    Such rows are one object that was first seen from its two ends.
+    Such rows are one object that was first seen from its two ends. See `match_near` for the other
+    arguments.
 
-    Args:
-        index: see `place_index.PlaceIndex`.
-        centers: see `match`.
-        word: see `match`.
-        n: number of rows.
-        now: (cap,) float32, above 0 if the object was detected in this image.
-        near_m: planar distance.
-        rows: (cap,) int32, scratch.
+    - `now`: (cap,) float32, above 0 if the object was detected in this image.
+    - `rows`: (cap,) int32, scratch.
 
     Returns:
         (lower, higher) index of such a pair, at least one of them detected in this image; (-1, -1):
@@ -129,16 +114,11 @@ def find_duplicate(index, centers, word, n, now, near_m, rows):
 def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
     """Add some points of a new view to row `i`, one for each voxel.
 
-    If the row has POINTS points, the oldest are replaced.
+    If the row has POINTS points, the oldest are replaced. See `match` for the other arguments.
 
-    Args:
-        points: see `match`.
-        n_points: see `match`.
-        cursor: (cap,) int32, position of the next point.
-        i: index of the row.
-        surface: (k, 3) float32 in `map`.
-        n_surface: number of rows of `surface` that count.
-        voxel_m: side of a voxel.
+    - `cursor`: (cap,) int32, position of the next point.
+    - `surface`: (k, 3) float32 in `map`; the first `n_surface` rows count.
+    - `voxel_m`: side of a voxel.
     """
     step = max(1, n_surface // _POINTS_PER_VIEW)
     for j in range(0, n_surface, step):
@@ -166,23 +146,12 @@ def add_view(
 ):  # fmt: skip
     """Update centre, points, reach and cell of row `i` with box `j` of a new view.
 
-    Args:
-        index: see `place_index.PlaceIndex`.
-        centers: see `match`.
-        points: see `match`.
-        n_points: see `match`.
-        cursor: see `add_points`.
-        reach: (cap,) float32, see `reach_of`.
-        i: index of the row.
-        view_centers: (boxes, 3) float32 in `map`.
-        surfaces: (boxes, k, 3) float32 in `map`.
-        n_surface: (boxes,) int32, number of surface points of each box that count.
-        j: index of the box.
-        views: the new view's share of the centre is 1 / views.
-        voxel_m: side of a voxel.
+    Return the reach of the row. See `match_near` and `add_points` for the other arguments.
 
-    Returns:
-        The reach of the row.
+    - `view_centers`: (boxes, 3) float32 in `map`.
+    - `surfaces`: (boxes, k, 3) float32 in `map`.
+    - `n_surface`: (boxes,) int32, number of surface points of each box that count.
+    - `views`: the new view's share of the centre is 1 / views.
     """
     for axis in range(3):
         centers[i, axis] += (view_centers[j, axis] - centers[i, axis]) / np.float32(views)
@@ -214,23 +183,15 @@ def fuse(
 ):  # fmt: skip
     """Update every row by one image: a detection is evidence for the object, a miss against it.
 
-    Args:
-        centers: see `match`.
-        points: see `match`.
-        n_points: see `match`.
-        word: see `match`.
-        n: number of rows.
-        now: (cap,) float32, score of each row in this image, 0 if it was not detected. All are
-            set to 0 at the end.
-        looked_for: (words,) bool, True for words that the detector looked for.
-        T_camera_map: see `look_kernels.visibility`.
-        view: see `look_kernels.visibility`.
-        depth: see `look_kernels.visibility`.
-        near_m: see `weight_of`.
-        far_m: see `weight_of`.
-        weight: (cap,) float32, sum of weights.
-        total: (cap,) float32, sum of weights times scores.
-        confidence: (cap,) float32 out.
+    See `match` and `weight_of` for the other arguments.
+
+    - `n`: number of rows.
+    - `now`: (cap,) float32, score of each row in this image, 0 if it was not detected. All are set
+      to 0 at the end.
+    - `looked_for`: (words,) bool, True for words that the detector looked for.
+    - `weight`: (cap,) float32, sum of weights.
+    - `total`: (cap,) float32, sum of weights times scores.
+    - `confidence`: (cap,) float32 out.
     """
     for i in range(n):
         if not looked_for[word[i]]:
@@ -262,19 +223,15 @@ def competing_confidence(
 
     Another object counts for the part of the surface that it covers: several chairs may cover all
     of a sofa, a pillow covers little of a bed. An object that lies mostly elsewhere, such as the
-    table under a vase, counts little. Objects of one word count together.
+    table under a vase, counts little. Objects of one word count together. See `match` for the other
+    arguments.
 
-    Args:
-        surface: (k, 3) float32 in `map`, surface points of the object; k > 0.
-        centers: see `match`.
-        points: see `match`.
-        n_points: see `match`.
-        word: see `match`.
-        confidence: (cap,) float32, confidence of each row.
-        rows: (r,) int32, the rows that may cover the object.
-        against: (words,) float32, weight of each word's confidence; 0: the word names the same
-            object.
-        within_m: largest planar distance of a row's centre from the centre of the surface.
+    - `surface`: (k, 3) float32 in `map`, surface points of the object; k > 0.
+    - `confidence`: (cap,) float32, confidence of each row.
+    - `rows`: (r,) int32, the rows that may cover the object.
+    - `against`: (words,) float32, weight of each word's confidence; 0: the word names the same
+      object.
+    - `within_m`: largest planar distance of a row's centre from the centre of the surface.
 
     Returns:
         The maximum over words of the mean, over the surface, of the confidence of the word's
