@@ -44,7 +44,6 @@ class LiveSnapshot:
     """State of the service in one tick.
 
     Attributes:
-        at_s: time on the sink's clock.
         result: the result of the tick, of which mission, task, instances, candidates and path are
             computed. Of the other functions, use only those that other threads may call.
         n_tasks: version of the task: increases when it changes, except for progress along it.
@@ -59,7 +58,6 @@ class LiveSnapshot:
         n_events: number of events since the start.
     """
 
-    at_s: float
     result: TickResult
     n_tasks: int
     objects: Sequence[KnownObject]
@@ -192,7 +190,6 @@ class LiveSink:
         for compute in (result.mission, result.instances, result.candidates, result.path):
             compute()
         self.snapshot = LiveSnapshot(
-            at_s=now_s,
             result=result,
             n_tasks=self._n_tasks,
             objects=objects,

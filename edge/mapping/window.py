@@ -46,10 +46,6 @@ class Window:
         """Return the world cell (x, y) of a point, inside the window or not."""
         return math.floor(x_m / self.resolution_m), math.floor(y_m / self.resolution_m)
 
-    def centre_m(self, cell: tuple[int, int]) -> tuple[float, float]:
-        """Return the centre of a world cell in `map`."""
-        return (cell[0] + 0.5) * self.resolution_m, (cell[1] + 0.5) * self.resolution_m
-
     def contains(self, x: int, y: int) -> bool:
         """Return True if a world cell is in the window."""
         (ox, oy), n = self.origin, self.n

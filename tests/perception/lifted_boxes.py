@@ -31,4 +31,4 @@ def lifted(
     )  # fmt: skip
     full = np.full(n, POINTS, np.int32)
     points = (places[:, None] + spread).astype(np.float32)
-    return BackProjectedBoxes(detections, places, points, full, full, np.ones(n, np.bool_))
+    return BackProjectedBoxes(detections, places, points, full, np.ones(n, np.bool_))

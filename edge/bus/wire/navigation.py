@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from edge.bus.wire.cdr import STAMP, U8, U32, CdrReader, CdrWriter, DecodeError
 from edge.bus.wire.messages import MAP_FRAME, read_pose, write_pose
-from edge.geometry import SE2, se2_of
+from edge.geometry import SE2
 
 _UUID = struct.Struct("<16s")
 _I8 = struct.Struct("<b")
@@ -146,14 +146,11 @@ class Feedback:
     """NavigateToPose_FeedbackMessage: progress of a goal.
 
     Attributes:
-        elapsed_ns: time since the goal was accepted.
         recoveries: number of recoveries so far.
         distance_m: distance that is left to drive.
     """
 
     goal_id: bytes
-    pose: SE2
-    elapsed_ns: int
     recoveries: int
     distance_m: float
 
@@ -163,9 +160,8 @@ def decode_feedback(payload: bytes) -> Feedback:
     reader = CdrReader(payload)
     (goal_id,) = reader.read(_UUID, 1)
     reader.header()
-    pose = se2_of(read_pose(reader))
-    elapsed_ns = reader.stamp_ns()
-    reader.skip(STAMP.size, 4)
+    read_pose(reader)
+    reader.skip(2 * STAMP.size, 4)  # the time since the start, and the estimated time left
     (recoveries,) = reader.read(_I16, 2)
     (distance_m,) = reader.read(_F32, 4)
-    return Feedback(goal_id, pose, elapsed_ns, recoveries, distance_m)
+    return Feedback(goal_id, recoveries, distance_m)

@@ -36,7 +36,6 @@ class BackProjectedBoxes:
         center_m: (n, 3) float32 in `map`, median of the surface points.
         points_m: (n, POINTS, 3) float32 in `map`; the first `n_points[i]` of row i count.
         n_points: (n,) int32, number of surface points of each box.
-        n_samples: (n,) int32, number of depth samples from which the centre was computed.
         valid: (n,) bool; False if the object gave too few returns.
     """
 
@@ -44,7 +43,6 @@ class BackProjectedBoxes:
     center_m: np.ndarray
     points_m: np.ndarray
     n_points: np.ndarray
-    n_samples: np.ndarray
     valid: np.ndarray
 
     def __len__(self) -> int:
@@ -107,7 +105,6 @@ class BackProjector:
         out = (  # in the order of `BackProjectedBoxes`
             np.zeros((n, 3), np.float32),
             np.zeros((n, POINTS, 3), np.float32),
-            np.zeros(n, np.int32),
             np.zeros(n, np.int32),
             np.zeros(n, np.bool_),
         )

@@ -330,17 +330,15 @@ def back_project_boxes(
         min_points: least number of samples of a valid box.
         scratch: samples (SIDE*SIDE, 3), `strips` (4, SIDE*SIDE, 3), n_strips (4,) int32,
             histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 by default.
-        out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
-            valid (n,) bool.
+        out: center (n, 3), points (n, k, 3) float32 in `map`; n_points (n,) int32, valid (n,) bool.
     """
     samples, in_map = scratch[0], scratch[5]
-    center, points, n_points, n_samples, valid = out
+    center, points, n_points, valid = out
     T, shrink = T_map_camera, 0.5 * (1.0 - INNER)
     inner = np.empty_like(boxes)
     depths, fit = np.empty((len(boxes), 2), np.float32), np.zeros(len(boxes), np.float32)
     for i in range(len(boxes)):
-        valid[i] = False
-        n_points[i] = n_samples[i] = 0
+        valid[i], n_points[i] = False, 0
         x0, y0, x1, y1 = boxes[i]
         dx, dy = shrink * (x1 - x0), shrink * (y1 - y0)
         inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3] = x0 + dx, y0 + dy, x1 - dx, y1 - dy
@@ -378,5 +376,4 @@ def back_project_boxes(
             fit[i] = first_fit  # what later boxes compare with must not depend on their order
         x, y, z, m, used = surface_points(samples, n_above, low, high, T, points[i], in_map)
         center[i, 0], center[i, 1], center[i, 2] = x, y, z
-        n_samples[i], n_points[i] = m, used
-        valid[i] = keeps and m >= min_points
+        n_points[i], valid[i] = used, keeps and m >= min_points

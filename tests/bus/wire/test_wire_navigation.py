@@ -175,5 +175,4 @@ def feedback_payload() -> bytes:
 
 def test_feedback():
     got = navigation.decode_feedback(feedback_payload())
-    assert (got.goal_id, got.elapsed_ns, got.recoveries) == (ID, 3_500_000_000, 2)
-    assert (got.pose.x_m, got.distance_m) == (1.5, 4.25)
+    assert (got.goal_id, got.recoveries, got.distance_m) == (ID, 2, 4.25)
