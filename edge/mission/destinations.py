@@ -47,22 +47,27 @@ class DestinationError(UserError):
     """A destination that cannot be used; one line."""
 
 
+class _Strict:
+    """Base of the destinations: their JSON has no other fields, and only finite numbers."""
+
+    __slots__ = ()
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
 @dataclass(frozen=True, slots=True)
-class PlaceTarget:
+class PlaceTarget(_Strict):
     """A pose to stop at.
 
     Attributes:
         pose: in `map`; None for `start` and `here` until the mission begins.
     """
 
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
-
     pose: SE2 | None = None
     kind: Literal["place"] = "place"
 
 
 @dataclass(frozen=True, slots=True)
-class ExploreTarget:
+class ExploreTarget(_Strict):
     """Exploration, reached when no reachable frontier is left or the time is over.
 
     Attributes:
@@ -70,36 +75,30 @@ class ExploreTarget:
         limit_s: time after which it ends; None for no limit.
     """
 
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
-
     room: Name = ""
     limit_s: Seconds | None = None
     kind: Literal["explore"] = "explore"
 
 
 @dataclass(frozen=True, slots=True)
-class WaitTarget:
+class WaitTarget(_Strict):
     """A wait at the robot's position.
 
     Attributes:
         seconds: duration; None: wait until a person orders to go on.
     """
 
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
-
     seconds: Seconds | None = None
     kind: Literal["wait"] = "wait"
 
 
 @dataclass(frozen=True, slots=True)
-class CheckTarget:
+class CheckTarget(_Strict):
     """A check if an object is there; either answer fulfils it.
 
     Attributes:
         room: name of the room to look in; "" for everywhere.
     """
-
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     name: Name
     room: Name = ""
@@ -107,7 +106,7 @@ class CheckTarget:
 
 
 @dataclass(frozen=True, slots=True)
-class RoomTarget:
+class RoomTarget(_Strict):
     """A room, reached when the robot is inside.
 
     Attributes:
@@ -116,29 +115,25 @@ class RoomTarget:
             object.
     """
 
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
-
     name: Name = ""
     which: Literal["called", "largest", "next", "with"] = "called"
     kind: Literal["room"] = "room"
 
 
 @dataclass(frozen=True, slots=True)
-class EveryRoomTarget:
+class EveryRoomTarget(_Strict):
     """A tour of rooms, reached when the robot was in each one that it can get into.
 
     Attributes:
         room: kind of the rooms; "" for all rooms.
     """
 
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
-
     room: Name = ""
     kind: Literal["every_room"] = "every_room"
 
 
 @dataclass(frozen=True, slots=True)
-class EveryObjectTarget:
+class EveryObjectTarget(_Strict):
     """All objects of a name, reached when the robot was at each one and all is explored.
 
     Attributes:
@@ -146,22 +141,18 @@ class EveryObjectTarget:
         room: name of the room to look in; "" for everywhere.
     """
 
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
-
     name: Name
     room: Name = ""
     kind: Literal["every_object"] = "every_object"
 
 
 @dataclass(frozen=True, slots=True)
-class FailureTarget:
+class FailureTarget(_Strict):
     """The failure of another target of the mission: it was given up, "no mug" for "mug".
 
     It is never pursued. It becomes true when the other target has failed and the plan needs it.
     Only formulas name it: the English name "no entry sign" is an object.
     """
-
-    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     target: Name
     kind: Literal["failure"] = "failure"
