@@ -47,6 +47,7 @@ _WITHOUT_HEADER = (f"/{TF}", f"/{TF_STATIC}")
 _RING = 64  # messages of a topic between two polls
 _PAUSE_S = 0.002  # between two polls
 _SYNC_S = 2.0  # period of writing to the disk
+_SERVICE_S = 60.0  # longest wait for the service to play to
 _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}  # by name of the channel
 
 
@@ -240,43 +241,18 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
     )
 
 
-class PlaybackStats(NamedTuple):
-    """Result of a playback.
-
-    Attributes:
-        messages: number of messages that were sent.
-        max_late_s: largest delay of a message.
-    """
-
-    messages: int
-    max_late_s: float
-
-
 def play(
-    session: zenoh.Session,
-    settings: ZenohConfig,
-    path: str | os.PathLike[str],
-    rate: float = 1.0,
-    loop: bool = False,
-    restamp: bool = True,
-    stop: threading.Event | None = None,
-) -> PlaybackStats:
-    """Publish the sensor messages of a recording at the times at which they were recorded.
+    session: zenoh.Session, settings: ZenohConfig, path: str, stop: threading.Event
+) -> tuple[int, float]:
+    """Publish the sensor messages of a recording, again and again until `stop` is set.
 
-    Deadlines count from the start, so delays do not add up. Messages of the service and the
-    controller are left out.
+    They come at the times at which they were recorded, counted from the start, so delays do not add
+    up. The stamps are shifted to the current time. Messages of the service and the controller are
+    left out.
 
-    Args:
-        session: an open session.
-        settings: `zenoh` of the configuration.
-        path: the recording.
-        rate: 2.0 plays twice as fast.
-        loop: repeat until `stop` is set.
-        restamp: shift the stamps to the current time. Their differences are kept (divided by
-            `rate`), so that messages that belong together stay together.
-        stop: ends playing when it is set.
+    Returns:
+        Number of messages that were sent, and the largest delay of one in seconds.
     """
-    stop = stop or threading.Event()
     publishers: dict[str, zenoh.Publisher] = {}
     sent, max_late_s = 0, 0.0
     while not stop.is_set():
@@ -286,22 +262,20 @@ def play(
                 continue
             if first_ns is None:
                 first_ns, begin_s, begin_ns = log_ns, time.monotonic(), time.time_ns()
-            late_s = _sleep_until(begin_s + (log_ns - first_ns) * 1e-9 / rate, stop)
+            late_s = _sleep_until(begin_s + (log_ns - first_ns) * 1e-9, stop)
             if stop.is_set():
                 break
-            if restamp and topic.type != "json":
-                payload = _shift_stamp(payload, first_ns, begin_ns, rate)
+            if topic.type != "json":
+                payload = _shift_stamp(payload, begin_ns - first_ns)
             if topic.key not in publishers:
                 publishers[topic.key] = declare_publisher(session, topic, settings)
             publishers[topic.key].put(payload)
             sent, max_late_s = sent + 1, max(max_late_s, late_s)
-        if not loop:
-            break
         if first_ns is None:
             raise RecordingError(f"{path}: holds no message of a sensor")
     for publisher in publishers.values():
         publisher.undeclare()
-    return PlaybackStats(sent, max_late_s)
+    return sent, max_late_s
 
 
 def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
@@ -314,18 +288,10 @@ def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
     return max(0.0, time.monotonic() - deadline_s)
 
 
-def _shift_stamp(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> bytes:
-    """Return the payload with its stamp shifted from the recording's time to the current time.
-
-    Args:
-        payload: CDR that begins with a std_msgs/Header.
-        first_ns: log time of the first message that is played.
-        begin_ns: time at which that message was played.
-        rate: see `play`.
-    """
-    stamp_ns = begin_ns + int((peek_stamp_ns(payload) - first_ns) / rate)
+def _shift_stamp(payload: bytes, by_ns: int) -> bytes:
+    """Return the payload, CDR that begins with a std_msgs/Header, with its stamp shifted."""
+    stamp = STAMP.pack(*divmod(peek_stamp_ns(payload) + by_ns, 1_000_000_000))
     at = len(HEADER)
-    stamp = STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
     return b"".join((payload[:at], stamp, memoryview(payload)[at + STAMP.size :]))
 
 
@@ -345,9 +311,7 @@ def wait_for_service(
 
 
 @contextmanager
-def player(
-    config: Config, path: str | os.PathLike[str], rate: float = 1.0, loop: bool = False
-) -> Iterator[subprocess.Popen[bytes]]:
+def player(config: Config, path: str | os.PathLike[str]) -> Iterator[subprocess.Popen[bytes]]:
     """Play a recording in another process. It waits for the service, and ends with the block.
 
     Raises:
@@ -355,8 +319,8 @@ def player(
     """
     if not Path(path).is_file():
         raise RecordingError(f"{path}: no such file")
-    command = [*python_module("edge.sources.recording"), "play", str(path), f"--rate={rate}"]
-    process = subprocess.Popen(command + ["--loop"] * loop, stdin=subprocess.PIPE)
+    command = [*python_module("edge.sources.recording"), str(path)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE)
     try:
         # Not as arguments: every user of this computer can read those.
         with suppress(BrokenPipeError), process.stdin as settings:  # it reports why it failed
@@ -397,44 +361,27 @@ def run(args: argparse.Namespace) -> int:
     return FAILED if missing else os.EX_OK
 
 
-def _play_command(args: argparse.Namespace) -> int:
-    settings = ZenohConfig.model_validate_json(sys.stdin.readline())
-    stop = stop_on_signals()
-    with open_session(settings, "connect", stop) as session:
-        if not wait_for_service(session, settings, args.wait, stop):
-            raise UnavailableError(
-                f"{settings.address}: no service within {args.wait:g} s; start one with `edge run`"
-            )
-        played = play(session, settings, args.file, args.rate, args.loop, True, stop)
-    print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
-    return 0
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run `python -m edge.sources.recording play FILE`, which `player` starts.
+def main(path: str) -> int:
+    """Run `python -m edge.sources.recording FILE`, which `player` starts.
 
     The first line of standard input is the section `zenoh` of a configuration, as JSON.
     """
-    parser = argparse.ArgumentParser(prog="python -m edge.sources.recording")
-    commands = parser.add_subparsers(required=True)
-    play_parser = commands.add_parser("play", help="send a recording as if the sensors were live")
-    play_parser.add_argument("file")
-    play_parser.add_argument("--rate", type=float, default=1.0)
-    play_parser.add_argument("--loop", action="store_true")
-    play_parser.add_argument(
-        "--wait",
-        type=float,
-        default=60.0,
-        help="longest time to wait for the service, in s (default: 60)",
-    )
-    play_parser.set_defaults(handler=_play_command)
-    args = parser.parse_args(argv)
+    settings = ZenohConfig.model_validate_json(sys.stdin.readline())
+    stop = stop_on_signals()
     try:
-        return args.handler(args)
+        with open_session(settings, "connect", stop) as session:
+            if not wait_for_service(session, settings, _SERVICE_S, stop):
+                raise UnavailableError(
+                    f"{settings.address}: no service within {_SERVICE_S:g} s; start one with "
+                    "`edge run`"
+                )
+            sent, max_late_s = play(session, settings, path, stop)
     except UserError as error:
         print(error, file=sys.stderr)
         return error.exit_code
+    print(f"{path}: {sent} messages, at most {max_late_s * 1e3:.1f} ms late")
+    return os.EX_OK
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(*sys.argv[1:]))

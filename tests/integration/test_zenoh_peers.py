@@ -125,7 +125,7 @@ def test_a_recording_is_played_by_another_process(config, tmp_path):
     config = config.model_copy(update={"zenoh": own})
     with open_session(config.zenoh, "listen") as session:
         source = ZenohSource(config, session)
-        with recording.player(config, path, loop=True) as process:
+        with recording.player(config, path) as process:
             for _ in range(10):
                 seen = eventually(source.poll)
                 assert seen.pose.x_m == pytest.approx(0.01 * seen.rgb[0, 0, 0], abs=1e-6)

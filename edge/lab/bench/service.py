@@ -122,7 +122,7 @@ def run_bench(
             "service ready after %.1f s; playing %s for %g s", ready_s, recording.name, seconds
         )
         if has_topics:
-            process = stack.enter_context(player(config, recording, loop=True))
+            process = stack.enter_context(player(config, recording))
             is_over = partial(_has_failed, process)
         else:
             running.clock, is_over = playback.clock, lambda seen: playback.is_over
