@@ -19,6 +19,7 @@ from edge.tasks.scene.ground import ReachableGround, ground_of
 from edge.tasks.scene.scene import SceneObject
 from edge.tasks.sentences.phrases import ground_kind
 from edge.tasks.sentences.steps import RouteLimits
+from edge.trajectory.pursuit import length_m
 from edge.trajectory.smoothing import resample
 
 AVOID_M = 1.0
@@ -190,7 +191,7 @@ def cut_before(
         raise CallError(f"the robot gets no nearer than {gap_m:g} m to {name}")
     if near[0] == 0:
         raise CallError(f"the robot is nearer than {gap_m:g} m to {name} already")
-    return cut_at(path, _length_m(dense[: near[0] + 1].tolist()))
+    return cut_at(path, length_m(dense[: near[0] + 1]))
 
 
 def cut_at(path: Sequence[Point], length_m: float) -> list[Point]:
@@ -202,7 +203,3 @@ def cut_at(path: Sequence[Point], length_m: float) -> list[Point]:
     (x, y), (tx, ty) = path[n - 1], path[n]
     share = (length_m - done[n - 1]) / (done[n] - done[n - 1])
     return [*path[:n], (x + share * (tx - x), y + share * (ty - y))]
-
-
-def _length_m(path: Sequence[Sequence[float]]) -> float:
-    return sum(math.dist(a, b) for a, b in pairwise(path))

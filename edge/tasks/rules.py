@@ -41,6 +41,7 @@ from edge.tasks.sentences.reading import parse_steps
 from edge.tasks.sentences.steps import OF_SUFFIX, OTHER_SIDE, InstructionStep
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line
+from edge.trajectory.pursuit import length_m
 from edge.trajectory.smoothing import resample
 
 PLACES = (1.0, 0.6, 0.3)
@@ -165,7 +166,7 @@ def _plan_step(
             return [_plan_past(step, following, at, functions, more_follow)]
     path = _plan_through(at, points, functions)
     if step.kind == "halfway":
-        path = cut_at(path, 0.5 * _length_m(path))
+        path = cut_at(path, 0.5 * length_m(path))
     elif step.kind == "to" and step.distance_m:
         path = cut_before(functions, path, step.objects[0], step.distance_m)
     return [path]
@@ -186,7 +187,7 @@ def _plan_circle(step: InstructionStep, at: Point, functions: ScriptFunctions) -
             errors.append(error)
     if not paths:
         raise errors[0]
-    return min(paths, key=_length_m)
+    return min(paths, key=length_m)
 
 
 def _plan_past(
@@ -210,7 +211,7 @@ def _plan_past(
                 paths.append((side, _plan_through(at, points, functions, is_past)))
             except TrajectoryError as error:
                 errors.append(str(error))
-        for side, path in sorted(paths, key=lambda one: _length_m(one[1])):
+        for side, path in sorted(paths, key=lambda one: length_m(one[1])):
             try:
                 _check_side(step, following, side, path, functions, more_follow)
             except TrajectoryError as error:
@@ -333,7 +334,7 @@ def _plan_through(
     path = [at]
     for k, point in enumerate(points):
         leg = functions.a_star_plan(path[-1], point)
-        if k and _length_m(leg) > DETOUR * math.dist(path[-1], point) and may_end(path):
+        if k and length_m(leg) > DETOUR * math.dist(path[-1], point) and may_end(path):
             break
         path += leg[1:]
     return path
@@ -385,7 +386,3 @@ def _point_between(step: InstructionStep, functions: ScriptFunctions) -> Point:
     (px, py) = functions.ground.outline(a).point_at(angle_rad, 0.0)
     (qx, qy) = functions.ground.outline(b).point_at(angle_rad + math.pi, 0.0)
     return 0.5 * (px + qx), 0.5 * (py + qy)
-
-
-def _length_m(path: Sequence[Point]) -> float:
-    return float(np.hypot(*np.diff(np.array(path), axis=0).T).sum())

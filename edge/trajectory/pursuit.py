@@ -6,6 +6,7 @@ The functions have no state and need no map.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,8 +95,8 @@ def index_ahead(path_m: np.ndarray, index: int, ahead_m: float) -> int:
     return index + min(int(np.searchsorted(np.cumsum(legs), ahead_m)) + 1, len(legs))
 
 
-def length_m(path_m: np.ndarray) -> float:
-    """Return the length of a path (n, 2)."""
+def length_m(path_m: Sequence[Sequence[float]] | np.ndarray) -> float:
+    """Return the length of a path (n, 2), n > 0."""
     return float(np.hypot(*np.diff(path_m, axis=0).T).sum())
 
 
