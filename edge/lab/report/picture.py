@@ -10,6 +10,7 @@ from edge.geometry import downsample
 from edge.lab.report import legend, marks, palette, path_plot, raster, tasks
 from edge.lab.report.canvas import content
 from edge.lab.report.record import RunRecord
+from edge.text import shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -185,13 +186,9 @@ def _draw_title(figure: Figure, record: RunRecord, layout: MapLayout) -> None:
     style = {"fontsize": 16, "fontweight": "bold", "va": "center", "color": palette.INK}
     # Both lines are cut to the width that is left, by the mean width of a character.
     width_in = layout.width * (1.0 - x) - 0.1
-    figure.text(x, y(0.38), marks.plain(_shorten(record.title, width_in / 0.148)), **style)
+    figure.text(x, y(0.38), marks.plain(shorten(record.title, int(width_in / 0.148))), **style)
     style = {"fontsize": 10, "va": "center", "color": palette.MUTED}
-    figure.text(x, y(0.67), marks.plain(_shorten(subtitle(record), width_in / 0.082)), **style)
-
-
-def _shorten(text: str, length: float) -> str:
-    return text if len(text) <= length else f"{text[: int(length) - 1]}…"
+    figure.text(x, y(0.67), marks.plain(shorten(subtitle(record), int(width_in / 0.082))), **style)
 
 
 def subtitle(record: RunRecord) -> str:
