@@ -114,6 +114,7 @@ class MissionConfig(Section):
             the strictest one, which fulfils all others; if there is none, the mission is refused.
         translator: translates the instruction to a formula (LTL).
         planner: chooses the next target.
+        compiler: makes the automaton: `own`, or `spot`, if the package Spot is installed.
         max_targets: most different objects in a mission.
         checkpoint: file to continue the mission from after a restart. Map and objects are saved
             next to it, as `<checkpoint>.map` (docs/service.md). null: nothing is saved.
@@ -149,6 +150,7 @@ class MissionConfig(Section):
         ],
         Discriminator(kind_of),
     ] = PlannerVitl()
+    compiler: Literal["own", "spot"] = "own"
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
     checkpoint: str | None = None
     site: str | None = None

@@ -193,7 +193,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     translation = replace(translation, formula=formula)
     names = ltl.propositions(formula)
     _check_number(config, len(names))
-    automaton = compile_formula(formula)
+    automaton = compile_formula(formula, compiler=config.compiler)
     diagnosis = diagnose(automaton)
     if diagnosis.contradiction:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)

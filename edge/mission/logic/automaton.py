@@ -9,10 +9,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
-from edge.mission.logic.compiler import minimal_automaton
+from edge.mission.logic import compiler as own_compiler
+from edge.mission.logic import spot_compiler
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileBudget, CompileError
 from edge.mission.logic.ltl import Formula, propositions
 
@@ -20,6 +22,8 @@ __all__ = [
     "NOTHING", "Automaton", "CompileError", "compile_formula", "implies", "shortest_trace",
 ]  # fmt: skip
 
+# Name → function that returns the arrays `delta` and `accepting` of a formula.
+COMPILERS = {"own": own_compiler.minimal_automaton, "spot": spot_compiler.minimal_automaton_by_spot}
 NOTHING = ""
 """The entry of a trace for a step in which no object of the formula is reached."""
 
@@ -94,17 +98,22 @@ class Automaton:
 
 
 def compile_formula(
-    formula: Formula, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS
+    formula: Formula,
+    max_states: int = MAX_STATES,
+    max_steps: int = MAX_STEPS,
+    compiler: Literal["own", "spot"] = "own",
 ) -> Automaton:
-    """Return the automaton of a formula.
+    """Return the automaton of a formula; both compilers return the same one.
 
     Args:
         formula: the formula.
         max_states: limit of the states of the result and of each intermediate automaton.
         max_steps: limit of the work, see `edge.mission.logic.limits`.
+        compiler: "own", or "spot" for the library Spot.
 
     Raises:
         CompileError: a limit was exceeded.
+        UserError: "spot" was chosen, and its Python bindings are not installed.
 
     Example:
         >>> from edge.mission.logic.ltl import parse
@@ -114,7 +123,7 @@ def compile_formula(
     """
     budget = CompileBudget(max_states, max_steps)
     names = propositions(formula)
-    delta, accepting = minimal_automaton(formula, names, budget)
+    delta, accepting = COMPILERS[compiler](formula, names, budget)
     return Automaton(formula, names, delta, accepting, steps_left(delta, accepting, budget))
 
 

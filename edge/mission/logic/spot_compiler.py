@@ -1,4 +1,4 @@
-"""Twin of our compiler by Spot (https://spot.lre.epita.fr), if its Python bindings are installed.
+"""The compiler "spot": uses Spot (https://spot.lre.epita.fr) if its Python bindings are installed.
 
 Spot reads formulas over infinite traces. `from_ltlf` embeds finite traces, with a proposition
 `alive` that holds until the trace ends; `to_finite` removes it from the automaton (Spot's tutorial
@@ -6,7 +6,8 @@ Spot reads formulas over infinite traces. `from_ltlf` embeds finite traces, with
 are kept. Spot has no empty trace, so this module decides if it is accepted.
 
 The package `spot` on the Python package index is another project; the package `spottl` has the
-bindings (tested with 2.13).
+bindings (tested with 2.13). The work inside Spot is neither counted nor interrupted, only the work
+after it. Use the compiler "own" for untrusted formulas.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from types import ModuleType
 
 import numpy as np
 
-from edge.mission.logic.automaton import Automaton, steps_left
+from edge.errors import UnavailableError
 from edge.mission.logic.compiler import minimise
-from edge.mission.logic.limits import CompileBudget
-from edge.mission.logic.ltl import UNARY, Formula, postorder, propositions
+from edge.mission.logic.limits import CompileBudget, CompileError
+from edge.mission.logic.ltl import UNARY, Formula, postorder
 
 _ALIVE = "alive"
 _NEEDED = {
@@ -29,6 +30,7 @@ _NEEDED = {
 }
 # In Spot's LTLf, X is the weak next and X[!] the strong one.
 _SPELLING = {"X": "X[!] ", "WX": "X "}
+_MAX_DEPTH = 1000  # Spot recurses on the machine's stack
 
 
 def missing() -> str:
@@ -44,23 +46,46 @@ def missing() -> str:
     return ""
 
 
-def compile_by_spot(formula: Formula) -> Automaton:
-    """Return the automaton, like `edge.mission.logic.automaton.compile_formula`."""
-    budget, names = CompileBudget(), propositions(formula)
+def available() -> bool:
+    """Return True if Spot's Python bindings can be imported."""
+    return not missing()
+
+
+def minimal_automaton_by_spot(
+    formula: Formula, propositions: Sequence[str], budget: CompileBudget
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the automaton, like `edge.mission.logic.compiler.minimal_automaton`, computed by Spot.
+
+    Raises:
+        UnavailableError: Spot is not installed.
+        CompileError: a limit was exceeded, or the formula is nested too deep for Spot.
+    """
+    reason = missing()
+    if reason:
+        raise UnavailableError(
+            f"compiler 'spot': {reason}; install Spot's Python bindings (package spottl or "
+            "conda-forge's spot), or choose the compiler 'own'"
+        )
+    if _depth(formula) > _MAX_DEPTH:
+        raise CompileError(
+            f"formula: nested deeper than {_MAX_DEPTH}, too deep for the compiler 'spot'; "
+            "choose 'own'"
+        )
     spot, buddy = (importlib.import_module(name) for name in _NEEDED)
-    embedded = spot.from_ltlf(spot.formula(_text(formula, names)), _ALIVE)
+    embedded = spot.from_ltlf(spot.formula(_text(formula, propositions)), _ALIVE)
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
-    steps = _step_conditions(finite, buddy, len(names))
-    rows, accepting = _determinise(finite, steps, buddy.bddfalse)
+    steps = _step_conditions(finite, buddy, len(propositions))
+    rows, accepting = _determinise(finite, steps, buddy.bddfalse, budget)
     # The empty trace may differ from other traces that lead to the initial state. So a copy of the
     # initial state comes first, and all numbers grow by 1.
     delta = np.array([rows[0], *rows], np.int32) + 1
     accepting = [_accepts_empty_trace(formula), *accepting]
-    delta, accepting = minimise(delta, np.array(accepting), budget)
-    return Automaton(formula, names, delta, accepting, steps_left(delta, accepting, budget))
+    return minimise(delta, np.array(accepting), budget)
 
 
-def _determinise(automaton, steps: list, impossible) -> tuple[list[list[int]], list[bool]]:
+def _determinise(
+    automaton, steps: list, impossible, budget: CompileBudget
+) -> tuple[list[list[int]], list[bool]]:
     """Return the subset construction; a deterministic input keeps its states."""
     states = [frozenset({automaton.get_init_state_number()})]
     index = {states[0]: 0}
@@ -70,11 +95,13 @@ def _determinise(automaton, steps: list, impossible) -> tuple[list[list[int]], l
     while n < len(states):
         row = []
         edges = [edge for state in states[n] for edge in automaton.out(state)]
+        budget.spend(len(edges) * len(steps))
         for step in steps:
             target = frozenset(edge.dst for edge in edges if (edge.cond & step) != impossible)
             if target not in index:
                 index[target] = len(states)
                 states.append(target)
+                budget.check_states(len(states))
             row.append(index[target])
         rows.append(row)
         accepting.append(any(automaton.state_is_accepting(state) for state in states[n]))
@@ -134,3 +161,10 @@ def _text(formula: Formula, propositions: Sequence[str]) -> str:
                 pieces += ["(", arg, ")"]
             todo.extend(reversed(pieces))
     return "".join(out)
+
+
+def _depth(formula: Formula) -> int:
+    depth: dict[int, int] = {}
+    for f in postorder(formula):
+        depth[id(f)] = 1 + max((depth[id(arg)] for arg in f.args), default=0)
+    return depth[id(formula)]
