@@ -138,6 +138,16 @@ def parse_description(text: str) -> DescribedObject | None:
     return DescribedObject(noun, relation, anchor, room, nth, is_new)
 
 
+def without_room(text: str) -> str:
+    """Return the description of an object without the room that it must be in.
+
+    >>> without_room("every chair in the kitchen"), without_room("chair")
+    ('every chair', 'chair')
+    """
+    found = _split_off_room(names.normalise(text))
+    return text if found is None else found[0]
+
+
 def _split_off_room(phrase: str) -> tuple[str, str] | None:
     """Return the phrase without its last "in ROOM", and the room; None if there is none.
 
