@@ -256,6 +256,8 @@ class DescribedTargets:
 
     def _may_be_one(self, instance: Instance, other: Instance) -> bool:
         """Return True if two instances of a name may be parts of one object."""
+        if other.id in instance.apart:
+            return False
         gap_m, row, other_row = least_gap(instance.points_m, other.points_m)
         surface_m = max(float(np.ptp(one.points_m[:, :2], 0).max()) for one in (instance, other))
         if gap_m <= TOUCHING_M or gap_m > min(PART_M, surface_m):
