@@ -352,11 +352,15 @@ class ExploreRoomPursuit(RoomPursuit):
             self.end(context.now_ns)
 
     def _in_room(self, instances: Sequence[Instance]) -> list[Instance]:
-        """Return those of the objects that are in the room; none before the robot was inside."""
+        """Return those of the objects that are in the room; none before the robot was inside.
+
+        A part of the room that the map has cut off may have its name now.
+        """
         if self._inside is None:
             return []
+        rooms = [self._inside, *(room for room in self._known_rooms() if room.is_named)]
         xy_m = np.array([one.center_m[:2] for one in instances], np.float32).reshape(-1, 2)
-        return list(compress(instances, self._is_in(xy_m, self._inside)))
+        return list(compress(instances, np.any([self._is_in(xy_m, one) for one in rooms], axis=0)))
 
 
 class SearchRoomPursuit(ExploreRoomPursuit):
