@@ -111,7 +111,7 @@ class InstanceFusion:
                 self._count_good_hit(track, points, score, seen.observation, stamp_ns)
         for one, other in combinations(hit, 2):
             if _are_apart(boxes, hit[one], hit[other]):
-                tracker.mark_apart(one, other)
+                self._mark_apart(one, other)
         for instance_id in hit:
             self._merge_overlapping(instance_id)
         tracker.limit()
@@ -252,6 +252,13 @@ class InstanceFusion:
             )
         return track.contested
 
+    def _mark_apart(self, one: int, other: int) -> None:
+        """Note that an image showed a gap between two instances: they are two objects."""
+        tracks = self._tracker.tracks
+        if one in tracks and other in tracks:
+            tracks[one].instance.apart |= {other}
+            tracks[other].instance.apart |= {one}
+
     def _merge_overlapping(self, instance_id: int) -> None:
         """Merge an instance with those of its name that overlap it; the oldest one stays."""
         tracks, c = self._tracker.tracks, self._tracker.config
@@ -272,8 +279,8 @@ class InstanceFusion:
             older = other.instance.id < track.instance.id
             old, new = (other, track) if older else (track, other)
             del tracks[new.instance.id]
-            for beside in new.instance.apart:
-                self._tracker.mark_apart(old.instance.id, beside)
+            for neighbour in new.instance.apart:
+                self._mark_apart(old.instance.id, neighbour)
             old.absorb(new)
             self._update_state(old)
             old.grow(new.instance.points_m, c.voxel_m)

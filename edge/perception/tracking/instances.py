@@ -169,13 +169,6 @@ class InstanceTracker:
         if track := self.tracks.get(instance_id):
             track.instance.state = "reached"
 
-    def mark_apart(self, one: int, other: int) -> None:
-        """Note that an image showed two instances beside each other: they are two objects."""
-        if one in self.tracks and other in self.tracks:
-            for instance, beside in ((self.get(one), other), (self.get(other), one)):
-                assert instance is not None
-                instance.apart |= {beside}
-
     def state_dict(self) -> Arrays:
         """Return all instances and their evidence, one row each, oldest first.
 
