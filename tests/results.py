@@ -44,7 +44,7 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
     nothing: dict[str, Any] = {
         "observation": None, "pose": None, "status": status, "goal": None, "goal_status": None,
         "has_controller": False, "stopped": "", "proposals": list,
-        "targets": (status.target,), "goals": (), "goal_statuses": (),
+        "targets": {status.target: status.target}, "goals": (), "goal_statuses": (),
         "events": (), "inputs": (), "detections": None, "mission": lambda: facts(status.target),
         "task": lambda: None,
         "instances": list, "objects": list, "rooms": (), "site": Site(), "zones": ZonePolygons(),

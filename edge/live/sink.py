@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -214,7 +214,7 @@ class LiveSink:
         self._shot_due_s[index] = now_s + PERIOD_S
         detections, boxes = result.detections, ()
         if detections is not None and detections.observation is observation:
-            boxes = _boxes(detections, result.targets)
+            boxes = _boxes(detections, result.targets.values())
         stride = math.ceil(max(observation.rgb.shape[:2]) / MAX_SHOT_PX)
         self._n_shots += 1
         shot = CameraShot(
@@ -232,7 +232,7 @@ def _letters_by_candidate(choice: FrontierChoice) -> dict[int, tuple[str, float]
     return {candidate: (letter, p) for candidate, letter, p in entries}
 
 
-def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
+def _boxes(detections: Detections, targets: Collection[str]) -> tuple[Box, ...]:
     """Return the boxes of the targets, then those of other objects."""
     rgb, boxes = detections.observation.rgb, []
     if rgb is None:

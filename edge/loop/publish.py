@@ -102,7 +102,7 @@ class ResultPublisher:
             scores: The policy's scores of the candidates.
         """
         semantic_map, grid, goals = self._map, self._map.grid, self._goal_tracker
-        targets, goal, scorers = mission.spec.targets, goals.goal, self._scorers
+        spec, goal, scorers = mission.spec, goals.goal, self._scorers
         return TickResult(
             now_ns=now_ns,
             observation=observation,
@@ -113,7 +113,7 @@ class ResultPublisher:
             has_controller=goals.client.has_controller,
             stopped=mission.stopped,
             proposals=partial(self.proposals, now_ns),
-            targets=targets,
+            targets=spec.labels,
             goals=tuple(self.goals),
             goal_statuses=tuple(self.goal_statuses),
             events=tuple(self.events),
@@ -123,7 +123,9 @@ class ResultPublisher:
             task=cache(task),
             instances=cache(
                 lambda: [
-                    track.copied() for label in targets for track in semantic_map.tracker.of(label)
+                    instance.copied()
+                    for target in spec.targets
+                    for instance in semantic_map.tracker.of(spec.object_name(target))
                 ]
             ),
             objects=cache(partial(_objects, semantic_map, stamp_ns)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -125,6 +125,7 @@ class TickResult:
         has_controller: True if a controller answers, or if no answers are expected.
         stopped: Why the robot is stopped; "" if it is not.
         proposals: Returns the proposals of agents that wait for a person, JSON-ready.
+        targets: The mission's targets, with the label that detections of each have.
         goals: Goals that were sent since the last result.
         goal_statuses: Goal statuses that were received since the last result.
         events: Events since the last result.
@@ -163,7 +164,7 @@ class TickResult:
     has_controller: bool
     stopped: str
     proposals: Callable[[], list[dict[str, object]]]
-    targets: tuple[str, ...]
+    targets: Mapping[str, str]
     goals: tuple[Goal, ...]
     goal_statuses: tuple[GoalStatus, ...]
     events: tuple[Event, ...]

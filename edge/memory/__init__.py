@@ -7,6 +7,7 @@ from edge.memory.relations import (
     DescribedTargets,
     RelationError,
     parse_description,
+    without_room,
 )
 from edge.memory.room_kinds import ROOM_KINDS, is_room_name, kind_of_room
 from edge.memory.room_shapes import NO_SURVEY, LostRoom, RoomSurvey, outline_rooms, survey_rooms

@@ -138,6 +138,16 @@ def parse_description(text: str) -> DescribedObject | None:
     return DescribedObject(noun, relation, anchor, room, nth, is_new)
 
 
+def without_room(text: str) -> str:
+    """Return the description of an object without the room that it must be in.
+
+    >>> without_room("every chair in the kitchen"), without_room("chair")
+    ('every chair', 'chair')
+    """
+    found = _split_off_room(names.normalise(text))
+    return text if found is None else found[0]
+
+
 def _split_off_room(phrase: str) -> tuple[str, str] | None:
     """Return the phrase without its last "in ROOM", and the room; None if there is none.
 
@@ -246,6 +256,8 @@ class DescribedTargets:
 
     def _may_be_one(self, instance: Instance, other: Instance) -> bool:
         """Return True if two instances of a name may be parts of one object."""
+        if other.id in instance.apart:
+            return False
         gap_m, row, other_row = least_gap(instance.points_m, other.points_m)
         surface_m = max(float(np.ptp(one.points_m[:, :2], 0).max()) for one in (instance, other))
         if gap_m <= TOUCHING_M or gap_m > min(PART_M, surface_m):

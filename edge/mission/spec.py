@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,7 @@ class MissionSpec:
             "chair next to desk"), or else the target of the configuration. The detector searches
             for them, and each has its own vision-language scores.
         steps: steps of a task (`edge.tasks`), at least one; None if this is no task.
+        labels: the label that detections of each target have; for a place or room, its own name.
     """
 
     translation: Translation
@@ -66,19 +67,29 @@ class MissionSpec:
     targets: tuple[str, ...]
     prompts: tuple[str, ...]
     steps: tuple[TaskStep, ...] | None = None
+    labels: Mapping[str, str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", {name: self._label_of(name) for name in self.targets})
 
     def prompt_for(self, target: str) -> str:
         """Return the prompt to search for while this target is pursued."""
-        destination = self.translation.destinations.get(target)
-        is_named = isinstance(destination, (CheckTarget, EveryObjectTarget))
-        wanted = destination.name if is_named else target
+        label = self.labels[target]
+        return label if label in self.prompts else self.prompts[0]
+
+    def _label_of(self, target: str) -> str:
+        wanted = self.object_name(target)
         if wanted not in self.prompts and (described := parse_description(wanted)) is not None:
             wanted = described.noun
-        if wanted in self.prompts:
-            return wanted
         key = names.canonical(wanted)
         same = (prompt for prompt in self.prompts if names.canonical(prompt) == key)
-        return next(same, self.prompts[0])
+        return wanted if wanted in self.prompts else next(same, target)
+
+    def object_name(self, target: str) -> str:
+        """Return the name or description of one object that a target means; or the target."""
+        destination = self.translation.destinations.get(target)
+        is_named = isinstance(destination, (CheckTarget, EveryObjectTarget))
+        return destination.name if is_named else target
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -169,6 +169,19 @@ def test_all_objects_of_a_name_are_counted(formula, answer, tmp_path):
     assert re.match(answer, status.reason), status.reason
 
 
+def test_a_room_that_gets_another_name_meanwhile_is_still_counted(tmp_path):
+    den, later = (Site((RoomName(name, (2.0, 2.0)),)) for name in ("den", "library"))
+    loop = loop_of(tmp_path, "F start")
+    loop.service.change_site(den, loop.drive.motion.stamp_ns)
+    spec = prepare(loop.config.mission, formula='F "every sofa in den"', site=den)
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
+    while "exploring" not in loop.service.status.reason and not loop.service.status.done:
+        loop.step()
+    loop.service.change_site(later, loop.drive.motion.stamp_ns)
+    loop.run(120)
+    assert loop.service.status.reason.startswith("found 1 sofa"), loop.service.status
+
+
 def test_each_round_counts_all_objects_again(tmp_path):
     loop = loop_of(tmp_path, 'F "every sofa"', time_limit_s=2.0)
     spec = prepare(loop.config.mission, formula='F "every sofa"', repeat=Repetition(2))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from edge.loop.behaviours.tours import end_with_count
-from edge.mission.destinations import EveryObjectTarget
 
 
 def at(x_m, state):
@@ -19,6 +18,7 @@ def at(x_m, state):
     ("reached", "missed", "parts", "result"),
     [
         ([], 0, 0, "found no shelf"),
+        ([-1.0], 0, 0, "found no shelf"),  # it is in another room
         ([], 2, 0, "found no shelf (did not get to 2 more)"),
         ([1.0], 0, 0, "found 1 shelf: in the hall at (1.0, 0.0)"),
         ([1.0, 2.0], 1, 1, "found 2 shelves (did not get to 1 more; 1 more may be parts of these): "
@@ -33,9 +33,13 @@ def test_the_result_has_number_places_and_gaps(reached, missed, parts, result):
     rooms = SimpleNamespace(room_phrase=lambda x_m, y_m: "in the hall")
     ended = []
     mission = SimpleNamespace(
-        target="every shelf",
-        destinations={"every shelf": EveryObjectTarget("shelf")},
         on_reached=lambda text, now_ns, answer: ended.append((text, now_ns, answer)),
     )
-    end_with_count(mission, SimpleNamespace(tracker=tracker, rooms=rooms), 7)
+    end_with_count(
+        mission,
+        SimpleNamespace(tracker=tracker, rooms=rooms),
+        "every shelf",
+        lambda found: [one for one in found if one.center_m[0] > 0.0],
+        7,
+    )
     assert ended == [(result, 7, result)]

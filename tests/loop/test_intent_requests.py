@@ -101,6 +101,25 @@ def test_a_room_is_named_closed_and_opened(loop):
     say(loop, "Forget the ballroom.")
 
 
+def test_the_last_mission_starts_once_more():
+    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}})
+    loop = ClosedLoop(config, colour=False)
+    service, spec = loop.service, loop.service.mission.spec
+    with pytest.raises(UserError, match=r"cannot start it again: .*; it still runs, so cancel it"):
+        say(loop, "Do that again.")
+    say(loop, "Cancel that.")
+    assert say(loop, "Do that again.")["phase"] == "searching"
+    assert service.mission.spec is spec
+
+
+def test_nothing_starts_once_more_before_the_first_mission():
+    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}})
+    loop = ClosedLoop(config, colour=False)
+    loop.service.mission.ended = "idle"
+    with pytest.raises(UserError, match=r"cannot start it again: no mission was given yet$"):
+        say(loop, "again")
+
+
 def test_a_spoken_stop_is_as_urgent_as_the_verb():
     verbs = mission_verbs(lambda **texts: texts, in_words=True)
 

@@ -47,7 +47,7 @@ def test_a_request(verbs, data, more):
         (b"", "not JSON"),
         (b"\xff\x00", "not JSON"),
         (b"[]", "not a JSON object"),
-        (b"{}", "do: unknown None (choices: new, pause, resume, confirm, cancel, status)"),
+        (b"{}", "do: unknown None (choices: new, pause, resume, confirm, cancel, again, status)"),
         (b'{"do": "stop"}', "do: unknown 'stop' (choices: new, "),
         (b'{"do": "pause", "why": 1}', "'why': not a field of do: pause (its fields: for_s)"),
         (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not a field of do: new (its fields: "),

@@ -164,6 +164,14 @@ def test_another_one_of_several_is_no_part_of_the_reached_one(
     assert resolve("sofa 2 of 2", (reached, other), targets=targets) == [2] * is_another
 
 
+def test_two_objects_of_one_image_are_no_parts_of_one():
+    reached, other = obj(1, "chair", 0.0), obj(2, "chair", 0.2)
+    reached.state = "reached"
+    assert resolve("chair 2 of 2", (reached, other)) == []
+    other.apart = frozenset((1,))
+    assert resolve("chair 2 of 2", (reached, other)) == [2]
+
+
 @given(st.text(max_size=30))
 def test_any_text_is_described_plain_or_refused(text):
     try:

@@ -82,6 +82,24 @@ def test_a_place_is_a_target_without_a_prompt(instruction, formula, places, prom
     assert '"' not in spec.translation.english.replace('"loading bay two"', "")
 
 
+@pytest.mark.parametrize(
+    ("instruction", "labels"),
+    [
+        ("go to the dock", {"dock": "dock"}),
+        ("find the couch in the kitchen", {"couch in the kitchen": "couch"}),
+        ("find all chairs", {"every chair": "chair"}),
+        ("find all chairs next to the desk, then go to the dock",
+         {"every chair next to the desk": "chair", "dock": "dock"}),
+        ("check if there is a mug in the kitchen, then go to the dock",
+         {"check mug in the kitchen": "mug", "dock": "dock"}),
+    ],
+)  # fmt: skip
+def test_each_target_has_the_label_of_its_detections(instruction, labels):
+    spec = briefed(instruction)
+    assert spec.labels == labels
+    assert next(spec.prompt_for(target) for target in spec.targets) in spec.prompts
+
+
 def test_a_pose_that_is_not_known_yet_is_left_open():
     found = briefed("go to the dock, then return to the start").translation.destinations
     assert found == {"dock": PlaceTarget(SE2(1.0, 2.0, 0.0)), "start": PlaceTarget()}

@@ -75,9 +75,24 @@ def test_nearby_boxes_of_a_class_merge(scene, second, count):
     assert len(s.see(second)) == count
 
 
+@pytest.mark.parametrize(
+    ("y_m", "count"), [(0.25, 1), (0.5, 2)], ids=["their surfaces touch", "with a gap"]
+)
+def test_boxes_side_by_side_in_an_image_are_two_objects_if_there_is_a_gap(scene, y_m, count):
+    s = scene(merge_m=0.6)
+    s.see(("chair", 2, 0, 0.6))
+    assert len(s.see(("chair", 2, 0, 0.6), ("chair", 2, y_m, 0.5))) == count
+    for y_seen_m in (0, y_m, 0.5 * y_m) * 4:  # later images show one of them, or both as one
+        s.see(("chair", 2, y_seen_m, 0.6))
+    found = s.tracker.all
+    assert len(found) == count
+    assert [one.apart for one in found] == [{2}, {1}] * (count - 1) or count == 1
+
+
 def test_instances_that_grow_together_become_one(scene):
     s = scene(merge_m=1.0)
-    s.see(("sofa", 2.0, 0, 0.6), ("sofa", 3.6, 0, 0.5))
+    s.see(("sofa", 2.0, 0, 0.6))
+    s.see(("sofa", 3.6, 0, 0.5))
     assert len(s.tracker) == 2
     for _ in range(12):
         s.see(("sofa", 2.9, 0, 0.6), size_m=0.8)

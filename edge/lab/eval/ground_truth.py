@@ -6,7 +6,7 @@ Here an object is one of the simulated world, and an instance is an object in th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -169,7 +169,7 @@ class GroundTruthLogger:
         if len(result.targets) > 1:
             self._add_revisits(result.status.target, instances, truth)
 
-    def _begin(self, targets: Sequence[str], truth: GroundTruth, stamp_ns: int) -> None:
+    def _begin(self, targets: Collection[str], truth: GroundTruth, stamp_ns: int) -> None:
         self.objects = {target: objects_meant_by(self._world, target) for target in targets}
         max_id = max((item.id for item in self._world.objects), default=0) + self._people
         self._n_ids = max_id + 1

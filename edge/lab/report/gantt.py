@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -140,7 +140,7 @@ def in_words(record: RunRecord) -> str:
     return "; ".join(["The mission over time", *parts])
 
 
-def _draw_axes(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
+def _draw_axes(chart: Axes, rows: dict[str, int], targets: Mapping[str, str]) -> None:
     """Draw a row for each target, and round numbers along the time axis."""
     for k in range(0, len(rows), 2):
         chart.axhspan(k - 0.5, k + 0.5, color=ZEBRA, zorder=0)
@@ -160,7 +160,10 @@ def _draw_axes(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> Non
 
 
 def _draw_bars(
-    chart: Axes, pursued: Sequence[PursuitInterval], rows: dict[str, int], targets: Sequence[str]
+    chart: Axes,
+    pursued: Sequence[PursuitInterval],
+    rows: dict[str, int],
+    targets: Mapping[str, str],
 ) -> None:
     """Draw the bars; a switch before the target was reached is an arrow to the next bar."""
     least_s = (chart.get_xlim()[1] - chart.get_xlim()[0]) / 400  # so that every bar is visible

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class KeyframeBuffer:
         self._frames: list[Keyframe] = []
         self._taken_ns: int | None = None
 
-    def offer(self, detections: Detections, targets: Sequence[str]) -> None:
+    def offer(self, detections: Detections, targets: Collection[str]) -> None:
         """Keep a copy of the image, if the newest kept one is at least `FRAME_NS` old.
 
         Before that time, an image that shows a target better replaces the newest kept one.
@@ -46,7 +46,7 @@ class KeyframeBuffer:
         if len(self._frames) > self._capacity:
             self._frames.remove(self._next_to_drop())
 
-    def _better_than_last(self, detections: Detections, targets: Sequence[str]) -> bool:
+    def _better_than_last(self, detections: Detections, targets: Collection[str]) -> bool:
         last = [f.target_score for f in self._frames if f.stamp_ns == self._taken_ns]
         return _target_score(detections, targets) > (last[0] if last else 0.0) + BETTER_SCORE
 
@@ -77,7 +77,7 @@ class KeyframeBuffer:
         return tuple(sorted(self._frames, key=lambda f: f.stamp_ns))
 
 
-def _target_score(detections: Detections, targets: Sequence[str]) -> float:
+def _target_score(detections: Detections, targets: Collection[str]) -> float:
     """Return the score of the best box of a target; 0 without one."""
     wanted = [
         i for i, prompt in enumerate(detections.prompts) if names.same_as_any(prompt, targets)
@@ -87,7 +87,7 @@ def _target_score(detections: Detections, targets: Sequence[str]) -> float:
     return float(detections.score[np.isin(detections.class_id, wanted)].max(initial=0.0))
 
 
-def _copy(detections: Detections, targets: Sequence[str]) -> Keyframe:
+def _copy(detections: Detections, targets: Collection[str]) -> Keyframe:
     """Return the image and its boxes, downsampled to at most `MAX_FRAME_PX`."""
     rgb = detections.observation.rgb
     assert rgb is not None  # `KeyframeBuffer.offer` has checked

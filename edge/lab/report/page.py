@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import NamedTuple
@@ -214,7 +214,7 @@ def _figure(frame: Keyframe, record: RunRecord) -> str:
     return image_figure(frame.rgb, caption, boxes)
 
 
-def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Sequence[str]) -> str:
+def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Mapping[str, str]) -> str:
     """Return box `i` of a frame of size (w, h), with its label, as SVG."""
     x0, y0, x1, y1 = (float(v) for v in frame.xyxy_px[i])
     if not all(map(math.isfinite, (x0, y0, x1, y1))):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from edge import names
 
@@ -38,9 +38,9 @@ def outcome_colour(phase: str) -> str:
     return OUTCOME.get(phase, UNFINISHED)
 
 
-def target_colour(label: str, targets: Sequence[str]) -> str:
-    """Return the colour of an object by its label: one for each target, one for all others."""
-    for k, target in enumerate(targets):
-        if names.same_name(label, target):
+def target_colour(name: str, targets: Mapping[str, str]) -> str:
+    """Return the colour of a target, or of an object's label: one for all that is no target."""
+    for k, both in enumerate(targets.items()):
+        if names.same_as_any(name, both):
             return TARGETS[k % len(TARGETS)]
     return OBJECT

@@ -79,7 +79,7 @@ class RunRecord:
 
     Attributes:
         title: the instruction, or "Find the TARGET".
-        targets: boxes and instances with these names, or synonyms, are targets.
+        targets: the mission's targets, with the label that boxes and instances of each have.
         mission_facts: instruction, translation and outcome of the mission; None if unknown.
         task: the task at the end of the run; None if the mission was no task.
         task_at_trajectory_start: status of the task when each of its trajectories began, in order
@@ -106,7 +106,7 @@ class RunRecord:
     config_path: str
     robot: str
     detector: str
-    targets: tuple[str, ...]
+    targets: Mapping[str, str]
     mission: MissionStatus
     latency: LatencyReport
     start_ns: int = 0
@@ -162,8 +162,8 @@ class RunRecord:
         return tuple(step for step in self.steps if step.kind == "reached")
 
     def is_target(self, label: str) -> bool:
-        """Return True if a prompt or an instance's label is a target's name or a synonym."""
-        return names.same_as_any(label, self.targets)
+        """Return True if a prompt or an instance's label is that of a target or a synonym."""
+        return names.same_as_any(label, self.targets.values())
 
     def seconds(self, stamp_ns: int) -> float:
         """Return a stamp as seconds since the start of the run."""

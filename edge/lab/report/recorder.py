@@ -79,7 +79,7 @@ class ReportRecorder:
         if self._start_ns is None:
             self._start_ns = _first_ns(result)
         if seen is not None:
-            self._keyframes.offer(seen, result.targets)
+            self._keyframes.offer(seen, result.targets.values())
         self._choices.offer(result)
         for event in result.events:
             self._events.append(event)

@@ -144,8 +144,10 @@ class Pursuit(Generic[DestinationType]):
         if self._mission.config.probable != "refuse":
             self._probable = self._chooser.search.probable
         if self._probable is None:
-            reason = self._chooser.failure_reason(self._mission, self._map.grid)
-            self._mission.abandon_target(reason, now_ns)
+            self._mission.abandon_target(self._failure_reason(), now_ns)
+
+    def _failure_reason(self) -> str:
+        return self._chooser.failure_reason(self._mission, self._map.grid)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Return the goal of this tick; see `Behaviour.select`."""
@@ -172,7 +174,7 @@ class Pursuit(Generic[DestinationType]):
             return
         no_path_since_ns = self._no_path_since_ns
         if no_path_since_ns is not None and now_ns - no_path_since_ns >= _NO_PATH_NS:
-            mission.abandon_target(self._chooser.failure_reason(mission, self._map.grid), now_ns)
+            mission.abandon_target(self._failure_reason(), now_ns)
             return
         goal = goals.goal
         arrived = goals.arrived and goal is not None and goal.kind == "place"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -15,7 +16,14 @@ from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
 from edge.loop.goals.goal import GoalTracker
 from edge.loop.goals.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import RECOGNISED_KINDS, DescribedObject, MappedRoom, RoomSurvey, kind_of_room
+from edge.memory import (
+    RECOGNISED_KINDS,
+    DescribedObject,
+    MappedRoom,
+    RoomSurvey,
+    kind_of_room,
+    without_room,
+)
 from edge.mission.destinations import (
     CheckTarget,
     EveryObjectTarget,
@@ -317,6 +325,10 @@ class ExploreRoomPursuit(RoomPursuit):
         self._block_outside(self._inside)
         return self._chooser.choose(context, self._map.grid, scores, images)
 
+    def _failure_reason(self) -> str:
+        found = "found no path to the" if self._chosen_id else "found no"
+        return f"explored all reachable space, {found} {self._destination.name}"
+
     def end(self, now_ns: int) -> None:
         """End the target: the room is explored, or the time is over."""
         known = f"{self._phrase} was not reached"
@@ -339,12 +351,32 @@ class ExploreRoomPursuit(RoomPursuit):
         ):
             self.end(context.now_ns)
 
+    def _in_room(self, instances: Sequence[Instance]) -> list[Instance]:
+        """Return those of the objects that are in the room; none before the robot was inside.
+
+        A part of the room that the map has cut off may have its name now.
+        """
+        if self._inside is None:
+            return []
+        rooms = [self._inside, *(room for room in self._known_rooms() if room.is_named)]
+        xy_m = np.array([one.center_m[:2] for one in instances], np.float32).reshape(-1, 2)
+        return list(compress(instances, np.any([self._is_in(xy_m, one) for one in rooms], axis=0)))
+
 
 class SearchRoomPursuit(ExploreRoomPursuit):
-    """Pursuit of an object in one room: it fails as soon as the room is explored."""
+    """Pursuit of an object in one room: it fails as soon as the room is explored.
+
+    Once the robot is inside, this room counts, even if it is taken for another kind then.
+    """
+
+    @property
+    def _target_label(self) -> str:
+        target = self._mission.target
+        return target if self._inside is None else without_room(target)
 
     def gather(self) -> Sequence[Instance]:
-        return self._known_objects()
+        known = self._known_objects()
+        return known if self._inside is None else self._in_room(known)
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         self._begin(context)
@@ -375,12 +407,10 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         return self._answer.label
 
     def gather(self) -> Sequence[Instance]:
-        return () if self._inside is None else self._in_room(self._known_objects(), self._inside)
+        return self._in_room(self._known_objects())
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
-        seen = self._answer.new_detections(context)
-        found = [] if self._inside is None else self._in_room(seen, self._inside)
-        if found:
+        if found := self._in_room(self._answer.new_detections(context)):
             self._answer.answer_yes(found, context)
         elif not self._answer.time_is_over(context.now_ns):
             super().check_progress(context, images)
@@ -391,9 +421,3 @@ class CheckRoomPursuit(ExploreRoomPursuit):
     def _is_reached(self, instance: Instance, pose: SE2) -> bool:
         """Return False: only a new detection counts, and `check_progress` handles those."""
         return False
-
-    def _in_room(self, instances: Sequence[Instance], room: MappedRoom) -> list[Instance]:
-        xy_m = np.array([one.center_m[:2] for one in instances], np.float32).reshape(-1, 2)
-        return [
-            one for one, inside in zip(instances, self._is_in(xy_m, room), strict=True) if inside
-        ]

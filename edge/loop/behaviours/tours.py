@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from edge.mission.destinations import EveryObjectTarget, EveryRoomTarget
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
 from edge.text import one_line
+from edge.types import Instance
 
 _TRIES = 2  # failed goals in a room after which a tour leaves it out
 
@@ -119,7 +120,7 @@ class EveryObjectPursuit(Pursuit[EveryObjectTarget]):
             super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
-        end_with_count(self._mission, self._map, now_ns)
+        end_with_count(self._mission, self._map, self._target_label, list, now_ns)
 
     def _mind_limits(self, now_ns: int) -> None:
         """Do nothing: such a search has no limits."""
@@ -129,22 +130,34 @@ class EveryObjectInRoomPursuit(SearchRoomPursuit):
     """Pursuit of all objects of a name in one room: it ends as soon as the room is explored."""
 
     def end(self, now_ns: int) -> None:
-        end_with_count(self._mission, self._map, now_ns)
+        end_with_count(self._mission, self._map, self._target_label, self._in_room, now_ns)
 
 
-def end_with_count(mission: MissionRun, semantic_map: SemanticMap, now_ns: int) -> None:
+def end_with_count(
+    mission: MissionRun,
+    semantic_map: SemanticMap,
+    label: str,
+    counted: Callable[[Sequence[Instance]], Sequence[Instance]],
+    now_ns: int,
+) -> None:
     """End the search for all objects of a name with their number and places.
 
     None found is an answer, too: the mission goes on.
+
+    Args:
+        mission: the mission, in which it is the target.
+        semantic_map: the objects and the rooms.
+        label: the target without its room, such as "every chair".
+        counted: returns those of some objects that count.
+        now_ns: loop time.
     """
-    destination = mission.destinations[mission.target]
-    assert isinstance(destination, EveryObjectTarget)
-    described = parse_description(destination.name)
-    noun = destination.name if described is None else described.noun
+    name = label.removeprefix("every ")  # or description of one such object
+    described = parse_description(name)
+    noun = name if described is None else described.noun
     tracker, rooms = semantic_map.tracker, semantic_map.rooms
-    found = [one for one in tracker.of(destination.name) if one.state == "reached"]
-    missed = len(tracker.of(mission.target, only_confirmed=True, doubted=False))
-    known = tracker.of(destination.name, only_confirmed=True, doubted=False)
+    found = [one for one in counted(tracker.of(name)) if one.state == "reached"]
+    missed = len(counted(tracker.of(label, only_confirmed=True, doubted=False)))
+    known = counted(tracker.of(name, only_confirmed=True, doubted=False))
     near = sum(one.state != "reached" for one in known) - missed
     text = f"found {len(found) or 'no'} {noun if len(found) < 2 else names.plural(noun)}"
     others = [f"did not get to {missed} more"] if missed else []

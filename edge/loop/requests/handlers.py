@@ -85,7 +85,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
         in_words: True if instructions are English, so that "stop" is an order to stop.
 
     The requests are `{"do": "new", "instruction" | "formula" | "task": …}` and `{"do": VERB}` with
-    pause, resume, confirm, cancel or status.
+    pause, resume, confirm, cancel, again or status.
 
     A new mission is prepared on the request thread, because a language model may take seconds to
     translate an instruction.
@@ -128,6 +128,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
         "resume": Verb(),
         "confirm": Verb(),
         "cancel": Verb(("id", "why"), _check_cancel, stops_robot=True),
+        "again": Verb(),
         "status": Verb(read_only=True),
     }
 
@@ -247,6 +248,8 @@ def handle_mission(
         answer = {"text": carry_out(service, request.prepared, now_ns)}
     elif request.do == "new":
         _begin(service, request, now_ns)
+    elif request.do == "again":
+        _begin_again(service, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
         if not request.cancelled:  # else it has stopped missions that waited: no error
             which = f"{one_line(name)} " if name else ""
@@ -284,6 +287,16 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
         )
     refuse_closed(request.prepared, service.site.known, service.map)
     service.begin(request.prepared, now_ns, name)
+
+
+def _begin_again(service: Service, now_ns: int) -> None:
+    """Start the last mission once more."""
+    mission = service.mission
+    if mission.ended == "idle" or not mission.done:
+        still = "" if mission.ended == "idle" else "; it still runs, so cancel it first"
+        raise UserError(f"cannot start it again: {_last_mission_text(service)}{still}")
+    refuse_closed(mission.spec, service.site.known, service.map)
+    service.begin(mission.spec, now_ns)
 
 
 def _last_mission_text(service: Service) -> str:

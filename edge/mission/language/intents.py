@@ -87,11 +87,12 @@ class Control:
     """An order about the present mission.
 
     Attributes:
-        do: "pause" stops the robot, "resume" goes on, and "cancel" ends the mission.
+        do: "pause" stops the robot, "resume" goes on, and "cancel" ends the mission; "again" starts
+            the last one once more.
         seconds: length of a pause; None: until an order to go on.
     """
 
-    do: Literal["pause", "resume", "cancel"]
+    do: Literal["pause", "resume", "cancel", "again"]
     seconds: float | None = None
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -37,6 +38,8 @@ from edge.perception.tracking.sightings import ObjectTracker
 from edge.perception.tracking.track import InstanceTrack
 from edge.types import Observation
 
+APART_M = 0.1
+"""Two boxes of a name in one image are of two objects if their surfaces are this far apart."""
 DECAY = 0.9
 """Factor on the score of an instance for each view that should show it and does not."""
 FORGET_SHARE = 0.5
@@ -76,13 +79,17 @@ class InstanceFusion:
         c, tracker, seen = self._tracker.config, self._tracker, boxes.detections
         name_of_class = [names.canonical(prompt) for prompt in seen.prompts]
         unsuppressed = seen.not_suppressed()
-        hit: set[int] = set()  # instances with a strong detection in this image
+        hit: dict[int, int] = {}  # instances with a strong detection in this image: their box
         for i in np.flatnonzero(boxes.valid).tolist():
             class_id, score = int(seen.class_id[i]), float(seen.score[i])
             strong = score > c.tau_det and bool(unsuppressed[i])
             points = boxes.surface_m(i)
             x_m, y_m, _ = boxes.center_m[i].tolist()
-            track = tracker.match(name_of_class[class_id], x_m, y_m)
+            name = name_of_class[class_id]
+            track = tracker.match(name, x_m, y_m)
+            first = None if track is None else hit.get(track.instance.id)
+            if first is not None and strong and _are_apart(boxes, i, first):
+                track = tracker.match(name, x_m, y_m, but=hit)
             if track is None:
                 if not strong:
                     continue
@@ -100,8 +107,11 @@ class InstanceFusion:
                     0.0 if seen.competing_score is None else float(seen.competing_score[i])
                 )
             if strong:
-                hit.add(track.instance.id)
+                hit[track.instance.id] = i
                 self._count_good_hit(track, points, score, seen.observation, stamp_ns)
+        for one, other in combinations(hit, 2):
+            if _are_apart(boxes, hit[one], hit[other]):
+                self._mark_apart(one, other)
         for instance_id in hit:
             self._merge_overlapping(instance_id)
         tracker.limit()
@@ -242,6 +252,13 @@ class InstanceFusion:
             )
         return track.contested
 
+    def _mark_apart(self, one: int, other: int) -> None:
+        """Note that an image showed a gap between two instances: they are two objects."""
+        tracks = self._tracker.tracks
+        if one in tracks and other in tracks:
+            tracks[one].instance.apart |= {other}
+            tracks[other].instance.apart |= {one}
+
     def _merge_overlapping(self, instance_id: int) -> None:
         """Merge an instance with those of its name that overlap it; the oldest one stays."""
         tracks, c = self._tracker.tracks, self._tracker.config
@@ -257,13 +274,23 @@ class InstanceFusion:
                 continue
             if not track.overlaps(other, 0.5 * c.merge_m):
                 continue
+            if other.instance.id in track.instance.apart:
+                continue
             older = other.instance.id < track.instance.id
             old, new = (other, track) if older else (track, other)
             del tracks[new.instance.id]
+            for neighbour in new.instance.apart:
+                self._mark_apart(old.instance.id, neighbour)
             old.absorb(new)
             self._update_state(old)
             old.grow(new.instance.points_m, c.voxel_m)
             track = old
+
+
+def _are_apart(boxes: BackProjectedBoxes, i: int, j: int) -> bool:
+    """Return True if two boxes of an image show surfaces that do not touch."""
+    gap_m, _, _ = kernels.least_gap(boxes.surface_m(i), boxes.surface_m(j))
+    return gap_m >= APART_M
 
 
 def near_range_m(confirm_range_m: float, z_m: float, observation: Observation) -> float:

@@ -6,7 +6,7 @@ Use them for what the robot drives to and verifies; use `sightings` for all othe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Protocol, get_args
 
@@ -252,14 +252,17 @@ class InstanceTracker:
             if track.name == name and track.instance.state == "rejected":
                 del self.tracks[track.instance.id]
 
-    def match(self, name: str, x_m: float, y_m: float) -> InstanceTrack | None:
+    def match(
+        self, name: str, x_m: float, y_m: float, but: Collection[int] = ()
+    ) -> InstanceTrack | None:
         """Return the instance that a detection belongs to, or None.
 
-        A rejected instance near the detection comes first.
+        A rejected instance near the detection comes first. `but` are ids of instances that it
+        cannot be.
         """
         best, best_m = None, self.config.merge_m
         for track in self.tracks.values():
-            if track.name != name:
+            if track.name != name or track.instance.id in but:
                 continue
             apart_m = track.distance_m(x_m, y_m)
             if track.instance.state == "rejected":

@@ -212,7 +212,7 @@ def mission_run() -> RunRecord:
     ]
     texts = [(t_s, text) for t_s, _, _, text in STORY]
     return replace(
-        found, title=asked, targets=("chair", "sofa", "tv", "bed"), mission_facts=story,
+        found, title=asked, targets=story.spec.labels, mission_facts=story,
         instances=tuple(objects), events=tuple(texts),
     )  # fmt: skip
 

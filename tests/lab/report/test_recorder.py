@@ -37,7 +37,9 @@ def drive(recorder: ReportRecorder, stamp_ns: int, x_m: float, yaw_rad: float = 
 
 
 def show(recorder: ReportRecorder, detections: Detections, *targets: str) -> None:
-    recorder.tick(result(detections=detections, targets=targets or ("chair",)))
+    recorder.tick(
+        result(detections=detections, targets={name: name for name in targets or ("chair",)})
+    )
 
 
 def seen(stamp_ns: int, scores: dict[str, float], size: tuple[int, int] = (16, 20)) -> Detections:

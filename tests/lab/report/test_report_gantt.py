@@ -13,7 +13,8 @@ from edge.lab.report import canvas, gantt, palette
 
 
 def with_steps(run, steps, formula=FORMULA, targets=("chair", "sofa", "tv", "bed")):
-    return replace(run, mission_facts=story_of(formula, (), steps), targets=targets)
+    story = story_of(formula, (), steps)
+    return replace(run, mission_facts=story, targets={name: name for name in targets})
 
 
 def words(page) -> list[str]:

@@ -51,7 +51,7 @@ def test_text_cannot_become_markup(run):
     )  # fmt: skip
     point = np.zeros((1, 3), np.float32)
     bad = replace(
-        run, title=BAD, config_path=BAD, robot=BAD, detector=BAD, targets=(BAD,), machine=BAD,
+        run, title=BAD, config_path=BAD, robot=BAD, detector=BAD, targets={BAD: BAD}, machine=BAD,
         mission=MissionStatus(BAD, "failed", BAD), frames=(frame,), events=((1.0, BAD),),
         instances=(Instance(1, BAD, point[0], point, 0.5, 1, 0, 0),), counters={BAD: 1},
         config={BAD: BAD},

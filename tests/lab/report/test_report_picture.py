@@ -64,6 +64,14 @@ def test_the_path_is_coloured_and_reached_targets_are_numbered(long_run):
     assert count(pixels(drawn), green) > count(pixels(picture.png(simple)), green)
 
 
+@pytest.mark.parametrize("label", ["chair", "stool"])
+def test_the_objects_that_a_target_means_have_its_colour(run, label):
+    shown = replace(run, targets={"every chair": label}, goals=(), instances=run.instances)
+    colours = {one.label: palette.target_colour(one.label, shown.targets) for one in run.instances}
+    assert colours["chair"] == (palette.TARGETS[0] if label == "chair" else palette.OBJECT)
+    assert palette.target_colour("every chair", shown.targets) == palette.TARGETS[0]
+
+
 def test_places_zones_and_remembered_objects_are_drawn(run):
     corners = ((3.0, 5.8), (3.8, 5.8), (3.8, 6.7), (3.0, 6.7))
     items = (Place("$dock", SE2(0.6, 3.4, 1.57)), Zone("stairs", "keep_out", corners))

@@ -51,7 +51,7 @@ def test_any_names_and_many(run, name, n):
     quoted = [f'"{name.replace(chr(34), chr(39))} {k}"' for k in range(n)]
     steps = [(0.5 * k, "target", target.strip('"'), BAD) for k, target in enumerate(quoted)]
     shown = story_of(f"F({' | '.join(quoted)}) & F tv", (), steps, BAD * 300)
-    record = replace(run, mission_facts=shown, targets=shown.spec.automaton.propositions)
+    record = replace(run, mission_facts=shown, targets=shown.spec.labels)
     text = page.html(record, picture.png(record))
     reader = Reader(text)
     assert "script" not in reader.tags

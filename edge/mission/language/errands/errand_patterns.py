@@ -384,6 +384,8 @@ COUNTED = re.compile(
     r"two|three|four|five)\b)| (?:and|then)\b(?! (?:the|an?|my|our|both|two|three|four|five)\b))",
     re.I,
 )
+# "… and every chair"
+EACH_OBJECT = re.compile(rf"\b(?:every|each)(?: single)? (?P<object>{PLAIN_NAME})", re.I)
 _ANOTHER = r"(?:another|an other|(?:a|one) (?:different|second|further|new)|one more)"
 _WHERE = rf"(?: (?P<%s>{phrase_of('relation')}) (?P<%s>{NAME}))?"
 # "find a chair in the hall, then wait and find another one", also "…, then another"

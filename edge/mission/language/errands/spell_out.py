@@ -86,6 +86,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     text = patterns.EXPLORED_TWICE.sub(r"\1", text)
     refuse_unknown_names(text)
     refuse_other_tours(text)
+    _refuse_other_counts(text)
     text = restore_places(text, known)
     text = patterns.AFTER_WAIT.sub(r"\g<wait>, then", text)
     for pattern, hint in patterns.UNCLEAR:
@@ -236,6 +237,15 @@ def _refuse_more_of_each(found: re.Match[str]) -> None:
         raise unclear(more[0].strip(" ,"), "unclear what of it is meant; say 'find all …' for each")
 
 
+def _refuse_other_counts(text: str) -> None:
+    """Refuse "every chair" beside other names, which a translator would read as one chair."""
+    for sentence in re.split(r"[.;!?]", re.sub(r'"[^"]*"', '""', text)):
+        for found in patterns.EACH_OBJECT.finditer(sentence):
+            if _is_countable(bare(found["object"])) and not patterns.BAN.search(sentence):
+                hint = "unclear if this means every one of them; say 'find all …' for each"
+                raise unclear(found[0].strip(), hint)
+
+
 def _rewrite_hinted(found: re.Match[str]) -> str | None:
     """Return "find the mug, it should be on the desk" as the order to find the mug on the desk."""
     noun, where = bare(found["object"]), relation_text(found["relation"], found["anchor"])
@@ -264,6 +274,8 @@ def _rewrite_search(found: re.Match[str]) -> str | None:
     """Return "search the kitchen for a mug" as the order to find the mug in the kitchen."""
     slots = found.groupdict()
     room, each, name = slots.get("room"), slots.get("each"), slots.get("object") or slots["own"]
+    if room and each_kind(room):
+        each, room = room, None  # "search every room for my keys"
     if (room and not is_room(bare(room))) or is_vague(name):
         return None
     if each and each_kind(each) != "room":

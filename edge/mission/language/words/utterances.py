@@ -161,6 +161,7 @@ QUESTIONS = {
         (what|which things|what things|which objects) (is|was|are) [there] (in|inside) <room> {last}
         {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
         (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
+        (list|name) [me] [all|the|all the] (objects|things) [that you know] [(in|inside) <room>]
         what do you (know|remember) [about this place|so far]
         {anything} (in|inside) <room> {last}
         {anything} <relation> <anchor> {last}
@@ -314,6 +315,14 @@ CONTROL = {
         [you (can|may)] forget [about] [all of] {the_mission}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your) [search|
             mission|task|patrol|tour|errand|rounds|job|for it]
+    """,
+    "again": """
+        [please] [try|do|run|start|repeat] [it|that|this|the same [thing]|the (last|same|previous)
+            (mission|task|errand|tour|patrol|order|run)]
+            (again|once more|one more time|another time|once again) [please]
+        [please] (repeat|redo) (it|the (last|same|previous) (mission|task|errand|tour|patrol|order|
+            run)) [please]
+        [please] do the same [thing] [please]
     """,
     "pause": """
         [wait|hold on|hang on]* (a|one|half a) (moment|second|sec|tick) {there} {reason}
