@@ -287,8 +287,7 @@ def test_a_remark_about_a_target_is_asked_about():
 
 
 @pytest.mark.parametrize(
-    "said",
-    ["explore, sorry, bathroom", "go to the hall before the bed, sorry, to the sofa"],
+    "said", ["explore, sorry, bathroom", "go to the hall before the bed, sorry, to the sofa"]
 )
 def test_a_correction_of_nothing_or_of_a_condition_is_refused(said):
     with pytest.raises(TranslationError, match="unclear what this corrects"):

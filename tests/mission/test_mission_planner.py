@@ -43,8 +43,7 @@ def test_nothing_to_do():
 
 
 @pytest.mark.parametrize(
-    ("text", "steps"),
-    [(CASE_1, ("bed", "plant", "tv")), (CASE_2, ("tv", "bed", "toilet"))],
+    ("text", "steps"), [(CASE_1, ("bed", "plant", "tv")), (CASE_2, ("tv", "bed", "toilet"))]
 )
 def test_case_studies_of_the_paper(text, steps):
     """Tables II and III, under the weak until."""
@@ -116,19 +115,13 @@ def test_twice_in_separate_visits_takes_a_step_of_nothing():
     ("knowledge", "reason"),
     [
         ({}, "chair has to be found; couch first would cost the same"),
-        (
-            {"detected": ["couch"]},
-            "couch can come next; chair would have to be found",
-        ),
+        ({"detected": ["couch"]}, "couch can come next; chair would have to be found"),
         ({"failed": ["couch"]}, "chair has to be found; couch failed"),
         (
             {"failed": ["tv"]},
             "every way to the end needs an object that failed; the shortest needs tv",
         ),
-        (
-            {"reached": ["chair"]},
-            "chair was reached before; couch would have to be found",
-        ),
+        ({"reached": ["chair"]}, "chair was reached before; couch would have to be found"),
     ],
 )
 def test_reasons(knowledge, reason):
