@@ -97,7 +97,8 @@ _rewriting: list[TextIO] = []
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes(config: pytest.Config) -> None:
     all_are_run = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    if all_are_run and _start_compiling():
+    folders = {Path(argument).name for argument in config.args if os.path.isdir(argument)}
+    if (all_are_run or (len(folders) > 1 and folders & SERVICES)) and _start_compiling():
         _rewriting.append(open(__file__))  # noqa: SIM115
         fcntl.flock(_rewriting[0], fcntl.LOCK_EX)
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
-import numpy as np
 import yaml
 from onnx_text import onnx_of
 
@@ -56,9 +54,3 @@ def put_detector(name: str, **how: object) -> None:
     card["sha256"] = hashlib.sha256(content).hexdigest()
     (folder / f"{name}.yaml").write_text(yaml.safe_dump(card))
     (folder / f"{name}.onnx").write_bytes(content)
-
-
-def put_words(path: Path) -> Path:
-    """Write a vocabulary of two words for these detectors."""
-    np.savez(path, names=np.array(["chair", "bed"]), emb=np.eye(2, 512, dtype=np.float16))
-    return path

@@ -107,28 +107,9 @@ TAKE_EVERYTHING = {
     "a long source": "x = 1\n" * 9000,
 }
 MOVE_THE_ROBOT = {
-    "not a number": "give_trajectory([(0, 0), (float('nan'), 0)])",
-    "for ever away": "give_trajectory([(0, 0), (float('inf'), 0)])",
-    "a million kilometres": "give_trajectory([(0, 0), (1e9, 0)])",
-    "a number without end": "give_trajectory([(0, 0), (10 ** 5000, 0)])",
-    "out of the map": "give_trajectory(line((0, 0), (-30, 0)))",
     "through the van": "give_trajectory(line((0, 0), (13, 0)))",
-    "a leap over the van": "give_trajectory([(0, 0), (13, 0)])",
-    "round the van by leaps": "give_trajectory([(0, 0), (2, 0), (4, 0), (5.5, 0), (5.5, 1.5), "
-    "(7.4, 1.5), (8.4, -1.5)])",
-    "a leap to begin with": "give_trajectory([(-10, 0), (-11, 0)])",
-    "a leap between segments": "give_trajectory([[(0, 0)], [(-9, 0)]])",
-    "up into the air": "give_trajectory([(0, 0, 0), (1, 0, 1e6)])",
-    "too fast": "give_trajectory([(0, 0), (1, 0)], (), 100)",
-    "backwards in time": "give_trajectory([(0, 0), (1, 0)], (), -1)",
-    "no speed": "give_trajectory([(0, 0), (1, 0)], (), float('nan'))",
+    "a number without end": "give_trajectory([(0, 0), (10 ** 5000, 0)])",
     "no region": "give_trajectory([(0, 0), (1, 0)], [99])",
-    "too many points": "give_trajectory([(0, 0)] * 10**5)",
-    "too long a way": "give_trajectory(line((0, 0), (-15, 0)) + (line((-15, 0), (0, 0)) + "
-    "line((0, 0), (-15, 0))) * 40)",
-    "no points": "give_trajectory([[], []])",
-    "words": "give_trajectory('go on')",
-    "numbers as words": "give_trajectory([('0', '0')])",
     "things that act as numbers": "class N:\n  def __float__(self): return 0.0\n"
     "  def __abs__(self): return 0\ngive_trajectory([(N(), N())])",
     "a thing that acts as a list": "class L:\n  def __len__(self): return 1\n"

@@ -88,7 +88,9 @@ class Asking:
         return str(caught.value)
 
 
-def test_only_the_first_answer_or_refusal_counts(session, serve):
+def test_only_the_first_answer_or_refusal_counts(session, serve, monkeypatch):
+    sent, send = [], RequestServer._send
+    monkeypatch.setattr(RequestServer, "_send", lambda *reply: (sent.append(reply), send(*reply)))
     server, asking = serve(), Asking(session, do="resume")
     request = taken(server)
     request.refuse("not paused:\n  nothing to resume")
@@ -98,6 +100,7 @@ def test_only_the_first_answer_or_refusal_counts(session, serve):
     asking = Asking(session, do="status")
     taken(server).answer({})
     assert asking.answer == {}
+    assert len(sent) == 2
 
 
 @pytest.mark.parametrize("n_dropped", [0, 2, 3])

@@ -107,16 +107,11 @@ def fails(capsys, *words: str, code: int) -> str:
 @pytest.mark.parametrize(
     "command",
     [
-        "demo",
-        "run demo --report report",
-        "play nowhere.mcap demo --report report",
-        "mission explain bed --draw bed.svg",
-        "eval episodes demo",
-        "eval episodes --compare nowhere",
-        "trajectory nowhere straight",
-        "soak",
+        "demo", "run demo --report report", "play nowhere.mcap demo --report report",
+        "mission explain bed --draw bed.svg", "eval episodes demo",
+        "eval episodes --compare nowhere", "trajectory nowhere straight", "soak",
     ],
-)
+)  # fmt: skip
 def test_without_the_lab_extra_a_command_names_it_first(command, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     error = fails(capsys, *command.split(), code=os.EX_UNAVAILABLE)

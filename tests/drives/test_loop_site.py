@@ -85,16 +85,6 @@ def test_a_place_that_cannot_be_reached_fails_with_the_reason(tmp_path):
     assert "no path to roof" in status.reason
 
 
-def test_driving_around_a_zone_makes_the_path_longer():
-    def path_m(*items) -> float:
-        loop = driven("go to the dock", FAR, *items)
-        assert loop.service.status.phase == "reached", loop.notes.events
-        return loop.service.mission.meter.path_m
-
-    zone = Zone("mat", "keep_out", square(2.9, 1.8, 0.3))
-    assert path_m(zone) > path_m() + 0.05
-
-
 @pytest.mark.parametrize(
     "at_m", [START, (START[0] + 1.07, START[1])], ids=["in the middle", "at the edge"]
 )
@@ -119,14 +109,6 @@ def test_the_robot_explores_the_house_and_comes_back(tmp_path):
     assert loop.service.map.grid.known_m2 > 0.9 * area_m2
     assert "reached: explored" in " ".join(loop.notes.events)
     assert loop.drive.motion.pose.distance_to(*HOUSE["start"][:2]) < 0.6
-
-
-def test_the_robot_patrols_two_places():
-    loop = driven("patrol the dock and the start 2 times", FAR, seconds=280.0)
-    reached = [
-        e.split()[1] for e in loop.notes.events if e.startswith("reached: ") and "m from" in e
-    ]
-    assert reached == ["dock", "start", "dock", "start"]
 
 
 def test_a_jump_of_odometry_drops_places_and_zones():

@@ -20,9 +20,7 @@ from edge.types import GoalStatus
 SILL_M = 0.085
 
 
-def closed_loop(
-    folder: Path, way_round: bool, policy: str = "hvl", width_m: float = 1.0
-) -> ClosedLoop:
+def closed_loop(folder: Path, way_round: bool, width_m: float = 1.0) -> ClosedLoop:
     """Return a robot in one of two rooms, a bed in the other, and a sill in the door between."""
     doors = [{"at_m": 1.0 + 0.5 * width_m, "width_m": width_m, "sill_m": SILL_M}]
     doors += [{"at_m": 6.0, "width_m": 1.0}] * way_round
@@ -44,7 +42,6 @@ def closed_loop(
                 "loop": {"lockstep": True},
                 "sim": {"lockstep": True, "step_s": 0.2, "world": world},
                 "sensors": {"camera": {"width_px": 160, "height_px": 128}},
-                "policy": {"kind": policy},
                 "mission": {"target": "bed"},
             }
         ),
@@ -56,20 +53,18 @@ def held_up(loop: ClosedLoop) -> list[str]:
     return [event for event in loop.notes.events if event.startswith("blocked")]
 
 
-@pytest.mark.parametrize("policy", ["hvl", "nearest_frontier"])
-def test_the_robot_takes_another_path_after_one_bump(tmp_path, policy):
-    loop = closed_loop(tmp_path, way_round=True, policy=policy).run(100)
+def test_the_robot_takes_another_path_after_one_bump(tmp_path):
+    loop = closed_loop(tmp_path, way_round=True).run(100)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m("bed") <= 1.0
     assert loop.drive.motion.collisions == len(held_up(loop)) == 1
     assert loop.service.status.elapsed_s < 60
 
 
-@pytest.mark.parametrize(("width_m", "most"), [(2.0, 3), (4.0, 4)])
-def test_a_long_sill_is_given_up_after_a_few_bumps(tmp_path, width_m, most):
-    loop = closed_loop(tmp_path, way_round=True, width_m=width_m).run(100)
+def test_a_long_sill_is_given_up_after_a_few_bumps(tmp_path):
+    loop = closed_loop(tmp_path, way_round=True, width_m=4.0).run(100)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
-    assert 2 <= loop.drive.motion.collisions <= most
+    assert 2 <= loop.drive.motion.collisions <= 4
     assert loop.service.status.elapsed_s < 70
 
 

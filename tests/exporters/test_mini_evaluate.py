@@ -128,8 +128,7 @@ def test_without_questions_no_share_is_reached():
 def test_only_questions_with_an_answer_go_into_the_phrases(monkeypatch):
     """One question about colour and one about the size of a cut-off object."""
     pair = objects(
-        (CHAIR, (10, 10, 40, 90), "red", "tall"),
-        (CHAIR, (60, 10, WIDTH_PX, 50), "blue", "short"),
+        (CHAIR, (10, 10, 40, 90), "red", "tall"), (CHAIR, (60, 10, WIDTH_PX, 50), "blue", "short")
     )
     frames = Frames(np.zeros((1, 256, WIDTH_PX, 3), np.uint8), pair, np.array([0, 2]))
     monkeypatch.setattr(evaluate, "cpu_session", lambda path, threads: FakeModel(pair["box"]))

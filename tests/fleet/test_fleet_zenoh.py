@@ -159,11 +159,13 @@ def test_a_watcher_gets_only_changes(port, robots, tmp_path):
         watching.kill()
 
 
-def test_a_mission_in_three_parts_is_done_by_three(port, robots):
+def test_a_mission_in_three_parts_is_done_by_three(port, robots, capsys):
     three = [robots(name, reaches_in_s=0.1) for name in ("anna", "bob", "carl")]
-    ended = Sharing(port).ended()
-    assert {phase for phase, _ in ended.values()} == {"reached"}
-    assert {by for _, by in ended.values()} == {"anna", "bob", "carl"}
+    where, options = f"tcp/127.0.0.1:{port}", ("--share", "--json", "--patience", "60")
+    assert main(["mission", "new", "--fleet", where, THREE, *options]) == 0
+    parts = json.loads(capsys.readouterr().out)["parts"]
+    assert {part["phase"] for part in parts} == {"reached"}
+    assert {part["by"] for part in parts} == {"anna", "bob", "carl"}
     assert all(robot.mission.spec.automaton.propositions[-1] == "toilet" for robot in three)
 
 

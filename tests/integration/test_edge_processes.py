@@ -8,6 +8,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.request import Request, urlopen
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from edge_processes import LOCKSTEP, STOP_S, write_config
 from edge.bus.session import open_session
 from edge.bus.wire import messages
 from edge.config import ZenohConfig
+from edge.host.ports import free_port
 
 RENAMED = {
     "camera/rgb": "front/image_raw", "odom": "base/odom", "goal": "map", "map": "grid",
@@ -60,6 +62,21 @@ def test_a_stopped_demo_leaves_a_report_and_no_process(edge, config, tmp_path):
     assert not demo.orphans()
     assert "stopped while" in demo.output
     check_report(tmp_path / "here", "searching")
+
+
+def test_a_demo_with_a_page_takes_missions_until_ctrl_c(edge, config, tmp_path):
+    file, token = tmp_path / "token", "a-token-of-the-tests"
+    file.write_text(token)
+    demo = edge("demo", config, "--live", EDGE__MISSION__TIME_LIMIT_S="1",
+                EDGE__HTTP__PORT=str(free_port()), EDGE__HTTP__TOKEN_FILE=str(file))  # fmt: skip
+    demo.says("mission failed; the live view stays open until Ctrl-C: http://127.0.0.1:")
+    url = re.search(r"Ctrl-C: (http://[0-9.:]+/)", demo.output)[1]
+    new = b'{"do": "new", "instruction": "go to the toilet"}'
+    headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
+    with urlopen(Request(f"{url}mission/request", new, headers)) as answer:
+        assert b"toilet" in answer.read()
+    demo.says("target: toilet")
+    demo.stop(signal.SIGINT)
 
 
 def test_a_service_loads_nothing_that_is_not_configured(edge, config, tmp_path):

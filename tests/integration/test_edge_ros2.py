@@ -1,8 +1,6 @@
-"""Simulated ROS 2 robots with Nav2 that drive to their target.
+"""A simulated ROS 2 robot with Nav2 that drives to its target over rmw_zenoh.
 
-Over rmw_zenoh, and behind a stand-in for zenoh-bridge-ros2dds.
-
-Each publishes the topics and frames of a built-in configuration; its odometry is not in `map`.
+It publishes the topics and frames of a built-in configuration; its odometry is not in `map`.
 """
 
 from __future__ import annotations
@@ -19,10 +17,9 @@ from edge_processes import write_config
 from nav2 import Nav2
 from ros_messages import from_ros, to_ros
 from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, builtin_config, builtin_data, transforms_of
-from ros_router import kept, ours, router
+from ros_router import ours, router
 from ros_sdk import Republisher, peers
 
-from edge.bus.ros2.names import Dialect, dialect_of
 from edge.bus.ros2.node import Ros2Node
 from edge.bus.ros2.topics import SUBSCRIBED
 from edge.bus.session import Ring
@@ -41,31 +38,22 @@ HIDDEN = {
 class RosRobot:
     """Publisher of the simulator's data, which drives to Nav2's goals by the controller."""
 
-    def __init__(self, session: zenoh.Session, port: int, name: str, dialect: Dialect) -> None:
+    def __init__(self, session: zenoh.Session, port: int, name: str) -> None:
         settings, body = builtin_config(name).ros2, ROBOTS[name]
         self._frames = {"odom": "odom", "lidar/scan": body.lidar}
         self._camera = body.camera
-        sensors = [
-            n for n in HIDDEN if n in SUBSCRIBED and (body.lidar or not n.startswith("lidar"))
-        ]
-        self.nav2 = Nav2(session, "jazzy", dialect=dialect)
-        self._session, self._node = session, Ros2Node(session, 0, "robot", dialect)
+        sensors = [n for n in HIDDEN if n in SUBSCRIBED]
+        self.nav2 = Nav2(session, "jazzy")
+        self._session, self._node = session, Ros2Node(session, 0, "robot")
         self._rings = {n: Ring(session, f"edge/robot/{n}", 64) for n in sensors}
 
-        def publisher(n: str):
-            if dialect.has_tokens:  # by an implementation that is not ours
-                return Republisher(port, settings.topic(n), SUBSCRIBED[n])
-            return self._node.publisher(settings.topic(n), SUBSCRIBED[n])
-
-        self._publishers = {n: publisher(n) for n in sensors}
+        # By an implementation that is not ours.
+        self._publishers = {n: Republisher(port, settings.topic(n), SUBSCRIBED[n]) for n in sensors}
         self._map = self._node.subscription(
             "/edge/occupancy", ("nav_msgs/msg/OccupancyGrid",), 1, latched=True
         )
         self._answers = Ring(session, "edge/robot/goal_status", 64)
-        if dialect.has_tokens:
-            self._moored = self._node.publisher("/tf_static", SUBSCRIBED["tf_static"], latched=True)
-        else:
-            self._moored = kept(session, dialect, "/tf_static")
+        self._moored = self._node.publisher("/tf_static", SUBSCRIBED["tf_static"], latched=True)
         self._moored.put(transforms_of(body.tree))
         self._tf, self._tf_s = self._node.publisher("/tf", SUBSCRIBED["tf"]), 0.0
         self._goal: tuple[bytes, int, bytes] | None = None
@@ -136,20 +124,17 @@ SMALL = {"width_px": 320, "height_px": 240, "rate_hz": 10}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "via"), [("turtlebot4", "rmw_zenoh"), ("jetson-realsense", "bridge")]
-)
-def test_a_robot_on_ros2_is_driven_to_its_target(edge, tmp_path, name, via):
+def test_a_robot_on_ros2_is_driven_to_its_target(edge, tmp_path):
     with router() as port, ours(port) as session, peers(port):
         zenoh_section = {"endpoint": f"tcp/127.0.0.1:{port}", "mode": "client"}
-        data = builtin_data(name, ros2={"via": via}, zenoh=zenoh_section)
+        data = builtin_data("turtlebot4", ros2={"via": "rmw_zenoh"}, zenoh=zenoh_section)
         data["sensors"]["camera"] |= SMALL
         data |= {"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "television"}}
         (tmp_path / "robot").mkdir()
         there = {**data, "source": {"kind": "zenoh"}, "sinks": ["zenoh"]}
         there["zenoh"] = {**zenoh_section, "topics": HIDDEN}
         simulator = write_config(tmp_path / "robot", **there)
-        robot = RosRobot(session, port, name, dialect_of(via, "edge"))
+        robot = RosRobot(session, port, "turtlebot4")
         edge("sim", simulator)
         run = edge("run", write_config(tmp_path, **data), "--once")
         assert run.wait() == 0, run.output

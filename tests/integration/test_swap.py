@@ -20,7 +20,6 @@ from live_patience import PATIENCE_S
 from onnx_text import onnx_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
-from onnx_bytes import DETECTOR, graph, interface, model, tensor
 from test_perception_cards import CARD
 
 from edge.bus.client import RequestError
@@ -31,7 +30,6 @@ from edge.launch import open_service
 from edge.loop.runner import loop
 from edge.loop.status import status_message
 from edge.models import use
-from edge.perception.runtime.health import WHY_INVALID
 from edge.types import Observation
 
 pytest.importorskip("onnxruntime")
@@ -39,21 +37,18 @@ pytest.importorskip("onnxruntime")
 PLACES = ((8, 8, 40, 40), (9, 9, 41, 41), (44, 44, 60, 60))
 
 
-def detector(shift: float = 0.0, bias: float = 0.0, in_black: str = "Div") -> bytes:
-    """Write a detector with three boxes in every image, all with score 1 / (1 + exp(-bias)).
-
-    The score is NaN in an image with black in it, unless `in_black` is "Mul".
-    """
-    text = f"""g (float[1,3,64,64] images, float[1,n,512] txt_feats)
-    => (float[1,3,4] boxes, float[1,3,n] scores) {{
+def detector(shift: float = 0.0, bias: float = 0.0) -> bytes:
+    """Write a detector with three boxes in every image, all with score 1 / (1 + exp(-bias))."""
+    text = """g (float[1,3,64,64] images, float[1,n,512] txt_feats)
+    => (float[1,3,4] boxes, float[1,3,n] scores) {
       darkest = ReduceMin <keepdims = 0> (images)
-      nothing = {in_black} (zero, darkest)
+      nothing = Mul (zero, darkest)
       boxes = Add (box, nothing)
       text = Transpose <perm = [0, 2, 1]> (txt_feats)
       flat = MatMul (zeros, text)
       raw = Add (flat, bias)
       scores = Sigmoid (raw)
-    }}"""
+    }"""
     zeros, box = np.zeros((1, 3, 512), np.float32), np.array([PLACES], np.float32)
     box += shift
     return onnx_of(text, zero=np.float32(0), bias=np.float32(bias), box=box, zeros=zeros)
@@ -63,17 +58,6 @@ MODELS = {
     "first": detector(),
     "good": detector(shift=1.0, bias=1.0),
     "elsewhere": detector(shift=64.0),
-    "steady": detector(shift=2.0, in_black="Mul"),
-    "damaged": detector(),
-    "cut-short": detector()[:-200],
-    "too-new": model(graph(interface(**DETECTOR)), 8, 99),
-    "outside": model(graph(interface(**DETECTOR), tensors=(tensor("w", "../weights.bin"),)), 8, 17),
-}
-REFUSED = {
-    "damaged": "damaged",
-    "cut-short": "cut-short.onnx: ",
-    "too-new": "opset 99",
-    "outside": "../weights.bin",
 }
 
 
@@ -88,8 +72,8 @@ def config(tmp_path, monkeypatch, endpoint, isolation) -> Path:
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     resources.models_dir().mkdir(parents=True)
     for name, data in MODELS.items():
-        digest = hashlib.sha256(data + (b"x" if name == "damaged" else b"")).hexdigest()
-        card = {**CARD, "name": name, "file": f"{name}.onnx", "sha256": digest}
+        card = {**CARD, "name": name, "file": f"{name}.onnx"}
+        card["sha256"] = hashlib.sha256(data).hexdigest()
         (resources.models_dir() / f"{name}.yaml").write_text(yaml.safe_dump(card))
         (resources.models_dir() / f"{name}.onnx").write_bytes(data)
     words = tmp_path / "words.npz"
@@ -107,19 +91,17 @@ def config(tmp_path, monkeypatch, endpoint, isolation) -> Path:
 
 
 class Camera:
-    """A source of the same image of greys; `dark`: with black in its upper half."""
+    """A source of the same image of greys."""
 
     epoch, pose, inbox = 0, None, SimpleNamespace(poll=list, overruns=0)
 
     def __init__(self) -> None:
         self.counters = Counter(received=0, observations=0)
-        self.dark = False
 
     def poll(self) -> Observation:
         self.counters["observations"] += 1
         n = self.counters["observations"]
         rgb = np.broadcast_to(np.arange(96, 160, dtype=np.uint8)[:, None, None], (64, 64, 3)).copy()
-        rgb[: 32 * self.dark] = 0
         camera = CameraModel.from_hfov(64, 64, 1.3)
         return Observation(n, n * 200_000_000, np.eye(4), rgb=rgb, camera=camera)
 
@@ -138,58 +120,30 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
     settings, stop, seen = load(str(config)), threading.Event(), []
     with ThreadPoolExecutor(1) as pool, open_service(settings, []) as running:
         service, running.source = running.service, Camera()
-        swapper = service.detector_swap
+        job = None
 
         def each() -> None:
-            probation = swapper.state == "on probation"
-            running.source.dark = probation and swapper.status()["number"] == blind
             seen.append(status_message(service.result())["detector"]["model"])
             if job.done():
                 stop.set()
 
-        def use_one(name: str, **how) -> tuple[int | str, list[str]]:
+        def use_one(name: str, **how) -> tuple[int | str, str]:
             nonlocal job
             stop.clear()
             job = pool.submit(asked, config, name, **how)
             loop(running, stop, each=each)
-            return job.result(), capsys.readouterr().out.splitlines()
+            return job.result(), capsys.readouterr().out.rpartition("\n")[0]
 
-        job, blind = None, len(REFUSED) + 3  # the third swap after those
         code, _ = use_one("nothing")
         assert code.startswith("models: refused: model 'nothing': no such card (choices: ")
-        assert use_one("first")[0] == "models: refused: model first runs already"
-
-        for name, reason in REFUSED.items():
-            code, lines = use_one(name)
-            assert code == 1
-            assert lines[0] == "loading"
-            assert lines[-1].startswith("refused: ")
-            assert reason in lines[-1]
-            assert lines[-1].endswith("; first goes on")
-
-        code, lines = use_one("elsewhere")
-        assert code == 1
-        assert "finds 0 of the " in lines[-1]
-        assert set(seen) == {"first"}
-
-        code, lines = use_one("elsewhere", force=True)
-        assert code == 0
-        assert lines[-1] == (
+        code, said = use_one("elsewhere")
+        assert (code, "finds 0 of the " in said, {*seen}) == (1, True, {"first"})
+        code, said = use_one("elsewhere", force=True)
+        assert (code, seen[-1]) == (0, "elsewhere")
+        assert said.endswith(
             "valid until the service stops; to keep it, set perception.detector.model: elsewhere "
             f"in {config}"
         )
-        assert seen[-1] == "elsewhere"
-
-        code, lines = use_one("good", force=True)
-        assert code == 1
-        assert lines[-1] == (
-            f"rolled back: it returns 3 boxes of an image that are {WHY_INVALID}; "
-            "elsewhere runs again"
-        )
-        assert seen[-1] == "elsewhere"
-        assert "good" in seen
-
-        blind = None
         assert use_one("good", force=True)[0] == 0
         assert status_message(service.result())["swap"]["state"] == "kept"
         assert status_message(service.result())["detector"]["model"] == "good"
@@ -201,11 +155,11 @@ def test_an_isolated_model_is_swapped_too(config):
     stop = threading.Event()
     with ThreadPoolExecutor(1) as pool, open_service(load(str(config)), []) as running:
         running.source = Camera()
-        job = pool.submit(asked, config, "steady")
+        job = pool.submit(asked, config, "good")
         loop(running, stop, each=lambda: job.done() and stop.set())
         assert job.result() == 0
         status = status_message(running.service.result())
-    assert (status["swap"]["state"], status["detector"]["model"]) == ("kept", "steady")
+    assert (status["swap"]["state"], status["detector"]["model"]) == ("kept", "good")
 
 
 LEFT_BEHIND = """

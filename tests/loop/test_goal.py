@@ -441,9 +441,7 @@ def test_a_frontier_left_three_times_is_kept():
 
 
 @pytest.mark.parametrize("sensors_ahead_ns", [0, 10**18, -(10**18)])
-def test_with_no_candidates_the_robot_spins_three_times(
-    sensors_ahead_ns,
-):
+def test_with_no_candidates_the_robot_spins_three_times(sensors_ahead_ns):
     case, pose = Case(sensors_ahead_ns), HERE
     for _ in range(3):
         goal = case.turn(pose)

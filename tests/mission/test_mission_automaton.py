@@ -144,8 +144,7 @@ def test_limit_of_steps(text):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["F a", CASE_2, targets(8), "(F a | F b) & (F c | F d) & (G !e | F b)", "X " * 40 + "a"],
+    "text", ["F a", CASE_2, targets(8), "(F a | F b) & (F c | F d) & (G !e | F b)", "X " * 40 + "a"]
 )
 def test_steps_are_counted_the_same_every_time(text, monkeypatch):
     """Exactly so many steps are enough, however late it gets meanwhile."""

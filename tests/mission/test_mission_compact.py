@@ -7,12 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.lab.eval.equivalence import distinguishing_trace
-from edge.mission.language.grammar.prefix_notation import (
-    MOST_NAMES,
-    REFUSED,
-    allowed,
-    formula_of,
-)
+from edge.mission.language.grammar.prefix_notation import MOST_NAMES, REFUSED, allowed, formula_of
 from edge.mission.logic.ltl import parse, propositions
 
 MEANT = [

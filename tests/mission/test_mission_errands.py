@@ -271,15 +271,10 @@ def test_an_impossible_errand_is_refused_in_one_line(said, hint):
 @pytest.mark.parametrize(
     "said",
     [
-        "move to the bed",
-        "take a look at the sofa",
-        "go to the doctor's office",
-        "pass a bed",
-        "take the hallway to the bed",
-        "take me to the bed",
-        "clean the sofa",
+        "move to the bed", "take a look at the sofa", "go to the doctor's office", "pass a bed",
+        "take the hallway to the bed", "take me to the bed", "clean the sofa",
     ],
-)
+)  # fmt: skip
 def test_driving_is_not_handling(said):
     assert spell_out(said)
 

@@ -26,14 +26,9 @@ from edge.mission.language.words.tokens import TranslationError
 from edge.mission.spec import prepare
 
 EVERYDAY = {
-    "everyday": 150,
-    "everyday_b": 149,
-    "everyday_c": 141,
-    "everyday_d": 150,
-    "everyday_e": 144,
-    "everyday_f": 113,
-    "everyday_g": 124,
-}
+    "everyday": 150, "everyday_b": 149, "everyday_c": 141, "everyday_d": 150, "everyday_e": 144,
+    "everyday_f": 113, "everyday_g": 124,
+}  # fmt: skip
 """Name of a file of 150 sentences → least number that must be right."""
 NAMES = [item.name for item in SITE.items]
 
@@ -296,8 +291,7 @@ def test_a_remark_about_a_target_is_asked_about():
 
 
 @pytest.mark.parametrize(
-    "said",
-    ["explore, sorry, bathroom", "go to the hall before the bed, sorry, to the sofa"],
+    "said", ["explore, sorry, bathroom", "go to the hall before the bed, sorry, to the sofa"]
 )
 def test_a_correction_of_nothing_or_of_a_condition_is_refused(said):
     with pytest.raises(TranslationError, match="unclear what this corrects"):

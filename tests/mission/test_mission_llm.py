@@ -74,10 +74,7 @@ def test_a_wrong_answer_is_sent_back_once(first, fault):
     assert len(server.requests) == 2
     *before, wrong, wanted = server.requests[1][2]["messages"]
     assert before == server.requests[0][2]["messages"]
-    assert wrong == {
-        "role": "assistant",
-        "content": first[:500],
-    }
+    assert wrong == {"role": "assistant", "content": first[:500]}
     assert fault in wanted["content"]
 
     with serving(saying(first)) as server:

@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 from ltl_semantics import holds
 
 from edge.mission.logic import ltl
-from edge.mission.logic.ltl import (
-    MAX_CHARS,
-    FormulaError,
-    parse,
-    propositions,
-    to_text,
-)
+from edge.mission.logic.ltl import MAX_CHARS, FormulaError, parse, propositions, to_text
 
 A, B, C, D = (ltl.ap(name) for name in "abcd")
 

@@ -310,16 +310,9 @@ def formulas_of(sentence: str) -> tuple[Formula, ...]:
 
 
 PLAIN = [
-    *THROUGH,
-    *SEQUENCES,
-    *ORDERS,
-    *AVOIDANCE,
-    *RULES,
-    *COMPOSED,
-    *ALL_OF_THEM,
-    *LEAVING,
+    *THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES, *COMPOSED, *ALL_OF_THEM, *LEAVING,
     *SAID_OTHERWISE,
-]
+]  # fmt: skip
 MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED, *ASKED_ABOUT]
 
 

@@ -42,8 +42,7 @@ def test_nothing_to_do():
 
 
 @pytest.mark.parametrize(
-    ("text", "steps"),
-    [(CASE_1, ("bed", "plant", "tv")), (CASE_2, ("tv", "bed", "toilet"))],
+    ("text", "steps"), [(CASE_1, ("bed", "plant", "tv")), (CASE_2, ("tv", "bed", "toilet"))]
 )
 def test_case_studies_of_the_paper(text, steps):
     """Tables II and III, under the weak until."""
@@ -115,19 +114,13 @@ def test_twice_in_separate_visits_takes_a_step_of_nothing():
     ("knowledge", "reason"),
     [
         ({}, "chair has to be found; couch first would cost the same"),
-        (
-            {"detected": ["couch"]},
-            "couch can come next; chair would have to be found",
-        ),
+        ({"detected": ["couch"]}, "couch can come next; chair would have to be found"),
         ({"failed": ["couch"]}, "chair has to be found; couch failed"),
         (
             {"failed": ["tv"]},
             "every way to the end needs an object that failed; the shortest needs tv",
         ),
-        (
-            {"reached": ["chair"]},
-            "chair was reached before; couch would have to be found",
-        ),
+        ({"reached": ["chair"]}, "chair was reached before; couch would have to be found"),
     ],
 )
 def test_reasons(knowledge, reason):
@@ -305,16 +298,7 @@ def test_a_plugin_planner_gets_the_mission_and_its_options():
     assert (plan.target, plan.reason) == ("b", "Reach a and b.")
 
 
-@pytest.mark.parametrize(
-    ("kind", "options", "words"),
-    [
-        ("nowhere:Planner", {}, "mission.planner.kind: 'nowhere:Planner'"),
-        (f"{__name__}:Alphabetical", {"first": True}, "mission.planner.options: got an unexpected"),
-        ("edge.mission.logic.ltl:Formula", {"op": "true"}, "it has no plan()"),
-    ],
-)
-def test_an_unusable_planner_is_reported_in_one_line(kind, options, words):
-    with pytest.raises(ConfigError) as error:
-        make_planner(PlannerPlugin(kind=kind, options=options), compiled("F a"), "Reach a.")
-    assert words in str(error.value)
-    assert "\n" not in str(error.value)
+def test_an_unusable_planner_is_refused_with_its_key():
+    formula = PlannerPlugin(kind="edge.mission.logic.ltl:Formula", options={"op": "true"})
+    with pytest.raises(ConfigError, match=r"mission\.planner\.kind: .* it has no plan\(\)$"):
+        make_planner(formula, compiled("F a"), "Reach a.")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import http.server
 import threading
 from dataclasses import dataclass, field
 
 import pytest
 import yaml
-
-from edge.host import resources
+from http_server import Quiet, running
 
 
 @dataclass
@@ -35,11 +33,12 @@ class Behaviour:
     asked: list[dict[str, str]] = field(default_factory=list)
 
 
-class _Handler(http.server.BaseHTTPRequestHandler):
+class _Handler(Quiet):
     protocol_version = "HTTP/1.1"
+    files: Files
 
     def do_GET(self) -> None:
-        how = self.server.paths.get(self.path)
+        how = self.files.paths.get(self.path)
         if how is None:
             self.send_error(404)
             return
@@ -62,58 +61,41 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         self.wfile.write(body if how.cut is None else body[: how.cut])
         self.wfile.flush()
         if how.stall:
-            self.server.over.wait()
+            self.files.over.wait()
         self.close_connection = True
 
-    def log_message(self, *_: object) -> None:
-        pass
 
-
-class Server(http.server.ThreadingHTTPServer):
+class Files:
     """Files by path; `url(path)` is their address."""
 
-    daemon_threads = True
-
     def __init__(self) -> None:
-        super().__init__(("127.0.0.1", 0), _Handler)
         self.paths: dict[str, Behaviour] = {}
-        self.over = threading.Event()
-
-    def handle_error(self, *_: object) -> None:
-        """Ignore clients that hang up, which many tests are about."""
+        self.over, self.port = threading.Event(), 0
 
     def put(self, path: str, content: bytes = b"", **how: object) -> Behaviour:
         self.paths[path] = Behaviour(content, **how)
         return self.paths[path]
 
     def url(self, path: str, user: str = "") -> str:
-        return f"http://{user}127.0.0.1:{self.server_port}{path}"
+        return f"http://{user}127.0.0.1:{self.port}{path}"
 
 
 @pytest.fixture
 def server(monkeypatch):
-    """Run a `Server`, called directly without the environment's proxy."""
+    """Serve `Files`, called directly without the environment's proxy."""
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    made = Server()
-    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield made
-    made.over.set()
-    made.shutdown()
-    thread.join()
-    made.server_close()
+    files = Files()
+    with running(type("Handler", (_Handler,), {"files": files}), files.over) as url:
+        files.port = int(url.rpartition(":")[2])
+        yield files
 
 
 @pytest.fixture
-def put_card(tmp_path, monkeypatch):
+def put_card(cards):
     """Return `put_card(card)`, with an empty folder of cards and an empty cache."""
-    folder = tmp_path / "cards"
-    folder.mkdir()
-    monkeypatch.setattr(resources, "data_dir", lambda kind: folder)
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
 
     def put(card):
-        (folder / f"{card['name']}.yaml").write_text(yaml.safe_dump(card))
+        (cards / f"{card['name']}.yaml").write_text(yaml.safe_dump(card))
         return card["name"]
 
     return put

@@ -65,7 +65,6 @@ MODELS = {"detect": DETECTOR, "text": TEXT, "image": IMAGE, "ground": GROUND}
 @pytest.fixture
 def put(put_card):
     """put(task, change=(old, new)): a card named as its task, and the model it is of."""
-    resources.models_dir().mkdir(parents=True)
 
     def write(task, change=("", ""), digest=None):
         put_card({"name": task, "file": f"{task}.onnx", "task": task, **SHARED, **CARDS[task]})

@@ -35,7 +35,6 @@ def test_rows_are_aligned(put_card, capsys):
     }.items():  # fmt: skip
         at = head.index(heading)
         assert (scorer[at:].split()[0], words[at:].split()[0]) == cells
-    resources.models_dir().mkdir(parents=True)
     (resources.models_dir() / "words.onnx").write_bytes(b"x" * 2_900_000)
     assert main(["models", "list", "words"]) == 0
     _, words = capsys.readouterr().out.splitlines()
@@ -55,7 +54,6 @@ def test_an_encoders_parity_is_that_of_its_embeddings(put_card, capsys):
 def test_json_has_the_card_data_and_file_paths(put_card, capsys):
     put_card(TEXT)
     put_card(SCORER)
-    resources.models_dir().mkdir(parents=True)
     path = resources.models_dir() / "words.onnx"
     path.write_bytes(b"x")
     assert main(["models", "list", "--json"]) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 
 import pytest
 import yaml
@@ -82,8 +83,7 @@ def test_weights_that_were_pulled_are_exported(started):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
-    [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])],
+    ("given", "told"), [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])]
 )
 def test_variants_of_a_language_model_derive_from_its_fp32(started, monkeypatch, given, told):
     monkeypatch.setattr(make, "verify_parts", lambda card: None)
@@ -109,7 +109,6 @@ def test_a_models_folder_needs_no_card(started, tmp_path):
 
 
 def test_an_own_card_is_exported_from_its_folder(started):
-    resources.models_dir().mkdir(parents=True)
     card = yaml.safe_dump({**ORIGINAL, "name": "mine"})
     (resources.models_dir() / "mine.yaml").write_text(card)
     assert main(["models", "export", "mine", "--weights", "w.pt"]) == 0
@@ -132,6 +131,7 @@ def test_a_vocabulary_that_cannot_be_copied_is_an_error(started, tmp_path, capsy
     if lacking == "source":
         (tmp_path / "words.npz").unlink()
     else:
+        shutil.rmtree(resources.cache_dir())
         resources.cache_dir().write_text("a file in the way")
     words = ["--weights", "w.pt", "--vocabulary", str(tmp_path / "words.npz")]
     assert main(["models", "export", "big", *words]) == os.EX_UNAVAILABLE

@@ -10,7 +10,6 @@ import pytest
 import yaml
 
 from edge.host import resources
-from edge.host.ports import free_port
 from edge.models import listing
 from edge.perception.runtime import card_types, cards, model_file
 
@@ -344,27 +343,3 @@ def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
     if not found:
         pytest.skip("no cards in models/")
     assert [card.name for card in cards.all_cards()] == found
-
-
-@pytest.mark.parametrize(
-    ("target", "detector", "message", "code"),
-    [
-        ("chair", "{kind: onnx, model: no-such-model}", "no-such-model", os.EX_UNAVAILABLE),
-        (" ", "{kind: sim}", "mission.target: '' is no name", os.EX_CONFIG),
-    ],
-)
-def test_edge_run_explains_an_unusable_detector_in_one_line(
-    tmp_path, capsys, monkeypatch, target, detector, message, code
-):
-    from edge.cli import main as cli
-
-    path = tmp_path / "robot.yaml"
-    path.write_text(
-        f"mission: {{target: '{target}'}}\nperception: {{detector: {detector}}}\n"
-        f"zenoh: {{endpoint: tcp/127.0.0.1:{free_port()}}}\n"
-    )
-    monkeypatch.setattr(cli, "setup", lambda *_: None)
-    monkeypatch.setattr(cli, "stop_on_signals", lambda *_: None)
-    assert cli.main(["run", str(path)]) == code
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert message in line

@@ -108,17 +108,13 @@ def test_providers_without_options_get_none():
 def test_options_of_onnxruntimes_tensorrt(precision, fp16, int8):
     told = provider_options(ORT_TENSORRT, 2, engine(precision, cache=Path("/e")), Path("/e/key"))
     assert told == {
-        "device_id": "2",
-        "trt_engine_cache_enable": "True",
-        "trt_engine_cache_path": "/e/key",
-        "trt_timing_cache_enable": "True",
-        "trt_timing_cache_path": "/e",
-        "trt_fp16_enable": fp16,
-        "trt_int8_enable": int8,
+        "device_id": "2", "trt_fp16_enable": fp16, "trt_int8_enable": int8,
+        "trt_engine_cache_enable": "True", "trt_engine_cache_path": "/e/key",
+        "trt_timing_cache_enable": "True", "trt_timing_cache_path": "/e",
         "trt_profile_min_shapes": "txt_feats:1x1x512",
         "trt_profile_opt_shapes": "txt_feats:1x16x512",
         "trt_profile_max_shapes": "txt_feats:1x256x512",
-    }
+    }  # fmt: skip
 
 
 def test_a_model_of_fixed_shapes_has_no_profile():

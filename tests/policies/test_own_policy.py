@@ -119,32 +119,11 @@ def test_a_policy_is_reset_with_the_reason(written):
     assert loop.seconds < 60.0
 
 
-@pytest.mark.parametrize(
-    ("code", "policy", "message"),
-    [
-        ("1 / 0", {"kind": "my_policy:P"}, "policy.kind: 'my_policy:P' cannot be imported: ZeroD"),
-        ("class P: pass", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: "),
-        ("def P(): 1 / 0", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: it is"),
-        (
-            "",
-            {"kind": "subprocess:Popen", "options": {"args": ["false"]}},
-            "policy.kind: subprocess:Popen is no policy: it has no score()",
-        ),
-        (SEES, {"kind": "my_policy:Spy", "options": {"x": 1}}, "policy.options: "),
-        (
-            "class P:\n    score = reset = print\n"
-            "    def __init__(self, x): raise RuntimeError('a\\nb')",
-            {"kind": "my_policy:P", "options": {"x": 1}},
-            "policy.options: my_policy:P: RuntimeError: ",
-        ),
-    ],
-)
-def test_an_unusable_policy_is_refused_in_one_line(written, code, policy, message):
-    written(code)
-    with pytest.raises(ConfigError) as caught:
-        make_policy(simulated({"policy": policy}).policy, "f.yaml")
-    assert str(caught.value).startswith(f"f.yaml: {message}")
-    assert str(caught.value).isprintable()
+def test_an_unusable_policy_is_refused_with_its_key():
+    unusable = {"kind": "subprocess:Popen", "options": {"args": ["false"]}}
+    says = r"^f\.yaml: policy\.kind: subprocess:Popen is no policy: it has no score\(\)$"
+    with pytest.raises(ConfigError, match=says):
+        make_policy(simulated({"policy": unusable}).policy, "f.yaml")
 
 
 def test_ours_are_made_by_their_kind():

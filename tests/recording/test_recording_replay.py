@@ -167,18 +167,9 @@ def test_all_kinds_of_inputs_replay(tmp_path):
     recording.steps(2)
     kinds = {entry.kind for m in RecordedRun(recording.close()).steps() for entry in m.page.entries}
     assert kinds >= {
-        "start",
-        "tick",
-        "idle",
-        "goal_status",
-        "mission",
-        "pause",
-        "stop",
-        "fail",
-        "config",
-        "jump",
-        "site",
-    }
+        "start", "tick", "idle", "goal_status", "mission", "pause", "stop", "fail", "config",
+        "jump", "site",
+    }  # fmt: skip
     same(files_of(tmp_path)[0], 37)
 
 

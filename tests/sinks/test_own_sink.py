@@ -12,23 +12,11 @@ from simulated import simulated
 from edge.config import ConfigError
 from edge.config.yaml_text import parse_yaml
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.result import Sink
 from edge.sinks import find_sinks
 from edge.sinks.zenoh import ZenohSink
 
 PAGE = Path(__file__).parents[2] / "docs" / "sinks.md"
 MAX_LINES = 40
-
-
-class Endless:
-    def tick(self, result) -> None: ...
-
-
-class Written(Endless):
-    def __init__(self, path: str) -> None:
-        Path(path).write_text("")
-
-    def close(self) -> None: ...
 
 
 def test_goals_and_status_go_over_zenoh_by_default():
@@ -67,34 +55,16 @@ def test_a_plugin_sink_is_one_file_and_one_configuration_line(page, tmp_path):
     assert [int(stamp) for stamp, *_ in goals] == [goal.stamp_ns for goal in loop.notes.goals] != []
 
 
-def made(sinks: list[object]) -> list[Sink]:
-    config = simulated({"sinks": sinks})
-    session = Flooded("", ())
-    return [make(config=config, session=session) for make in find_sinks(config)]
-
-
 @pytest.mark.parametrize(
     ("sinks", "said"),
     [
-        (
-            ["zenho"],
-            r"sinks\.0\.kind: unknown 'zenho' \(choices: zenoh, ros2, mcap, foxglove, rerun, or m",
-        ),
-        (
-            ["zenoh", "nowhere:Sink"],
-            r"sinks\.1\.kind: 'nowhere:Sink' cannot be imported: ModuleNotFoundError: .*PATH",
-        ),
+        (["zenoh", "zenho"], r"sinks\.1\.kind: unknown 'zenho' \(choices: zenoh, ros2, mcap, fox"),
         ([{"kind": "zenoh", "options": {"hz": 3}}], r"sinks\.0\.options: .*'hz'"),
         ([{"kind": "zenoh", "option": {}}], r"sinks\.0\.option: unknown key"),
         ([7], r"sinks\.0: expected a section"),
         (["builtins:object"], r"sinks\.0\.kind: builtins:object is no sink: it has no tick\(\)"),
-        ([f"{__name__}:Endless"], r"sinks\.0\.kind: .*:Endless is no sink: it has no close\(\)"),
-        (
-            [{"kind": f"{__name__}:Written", "options": {"path": "/nowhere/way.csv"}}],
-            r"sinks\.0\.options: .*:Written: FileNotFoundError: .*'/nowhere/way\.csv'",
-        ),
     ],
 )
 def test_an_unusable_sink_is_an_error_of_one_line(sinks, said):
     with pytest.raises(ConfigError, match=f"^<defaults>: {said}[^\n]*$"):
-        made(sinks)
+        find_sinks(simulated({"sinks": sinks}))

@@ -14,13 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from bags import (
-    CAMERA,
-    DEPTH_MM,
-    MOUNT,
-    OPTICAL,
-    compressed_image,
-)
+from bags import CAMERA, DEPTH_MM, MOUNT, OPTICAL, compressed_image
 from fake_zenoh import Flooded
 from live_patience import eventually
 from ros_router import kept, ours, router, zenoh_settings

@@ -82,11 +82,7 @@ def names(*cases):
 @names(
     ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, ros2, zmq, camera, or module:Class\)"),
     ("zenoh", {"rate": 3}, "options: got an unexpected keyword argument 'rate'"),
-    (
-        "no_such_module:A",
-        {},
-        "kind: 'no_such_module:A' cannot be imported: Mod.* PYTHONPATH",
-    ),
+    ("no_such_module:A", {}, "kind: 'no_such_module:A' cannot be imported: Mod.* PYTHONPATH"),
     ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing' cannot be imported: Attr"),
     ("math:pi", {}, "kind: math:pi is no source: 3.14.* is not a callable object"),
     ("subprocess:Popen", {"args": ["false"]}, r"kind: .* is no source: it has no close\(\)"),

@@ -331,10 +331,7 @@ def test_images_of_the_wrong_size(rgb_shape, depth_shape, reason):
     assert robot.odom(FRAME_NS * 2).frame(FRAME_NS).poll() is not None
 
 
-@pytest.mark.parametrize(
-    "topic",
-    [topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO],
-)
+@pytest.mark.parametrize("topic", [topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO])
 @pytest.mark.parametrize(
     ("payload", "reason"),
     [(b"", "empty"), (b"junk", "malformed"), (b"\0\1\0\0" + b"\xff" * 40, "malformed")],
@@ -415,14 +412,7 @@ def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str
 @pytest.mark.parametrize(
     ("distortion", "rgb", "depth", "made", "straight", "says"),
     [
-        (
-            "rectify",
-            RAW,
-            RAW,
-            "rectified",
-            (True, True),
-            "images and depth are rectified",
-        ),
+        ("rectify", RAW, RAW, "rectified", (True, True), "images and depth are rectified"),
         ("rectify", RAW, RECT, "rectified", (True, False), "images are rectified; if"),
         (
             "rectify",
@@ -459,11 +449,7 @@ def test_images_of_a_distorting_lens_are_rectified(
     ("distortion", "lens", "says"),
     [
         ("refuse", LENS, "k1 = -0.3: source.distortion is refuse"),
-        (
-            "rectify",
-            replace(LENS, model="odd"),
-            "known: plumb_bob, .*distortion: ignore",
-        ),
+        ("rectify", replace(LENS, model="odd"), "known: plumb_bob, .*distortion: ignore"),
     ],
 )
 def test_a_lens_that_is_refused_leaves_no_images(caplog, distortion, lens, says):

@@ -50,10 +50,7 @@ def test_an_invalid_trajectory_is_refused_in_one_line(segments, words):
         # There and back again.
         ([[[5, 0], [0, 0]]], [(5, 0, False), (0, 0, True)]),
         # Three bends of 30 degrees: the second is the one that makes 45.
-        (
-            [[[4, 0], [7.46, 2], [9.46, 5.46], [9.46, 9.46]]],
-            [(7.46, 2, False), (9.46, 9.46, True)],
-        ),
+        ([[[4, 0], [7.46, 2], [9.46, 5.46], [9.46, 9.46]]], [(7.46, 2, False), (9.46, 9.46, True)]),
     ],
 )
 def test_a_leg_ends_at_a_turn(segments, expected):

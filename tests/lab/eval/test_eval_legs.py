@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import takewhile
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.geometry import Grid
-from edge.lab.eval.closed_loop import ClosedLoop
 from edge.lab.eval.revisits import CELL_M, RevisitCounter, SeenFloor
 from edge.lab.sim.base import FloorPlan
 from edge.lab.sim.worlds import load_world
@@ -80,58 +78,3 @@ def test_floor_counts_as_revisited_only_before_the_target_is_known():
     assert legs.revisited_m2 == 0.0
     legs.update(2, "bed", nowhere, *here)
     assert legs.revisited_m2 > 1.0
-
-
-def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tuple]]:
-    """Return each tick of a mission: its turn, its knowledge of the target, its true pose."""
-    found = []
-    sim = {"world": {"kind": "generated", "seed": seed}, "start": start, "lockstep": True}
-    mission = {"instruction": instruction}
-    config = simulated({"mission": mission, "sim": sim, "loop": {"lockstep": True}})
-    loop = ClosedLoop(config, colour=False)
-    while not loop.service.status.done:
-        loop.step()
-        run, pose = loop.service.mission, loop.drive.motion.pose
-        known = len(loop.service.map.tracker.of(run.target, only_confirmed=True)) > 0
-        found.append((run.retargets, known, (pose.x_m, pose.y_m, pose.yaw_rad)))
-    assert loop.service.status.phase == "reached"
-    return found
-
-
-def again_m2(seed: int, before: list[tuple], search: list[tuple]) -> float:
-    """Measure the floor that a search saw again before its target was known."""
-    config = simulated({"sim": {"world": {"kind": "generated", "seed": seed}}})
-    hfov_rad = math.radians(config.sensors.camera.hfov_deg)
-    floor = SeenFloor(load_world(config).plan, hfov_rad, RANGE_M)
-    for pose in before:
-        floor.add_view(*pose)
-    floor.begin_leg()
-    until_known = takewhile(lambda look: not look[1], search)
-    return sum(floor.add_view(*pose)[1] for _, _, pose in until_known)
-
-
-def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, float]:
-    """Return the area that the second search observed again.
-
-    The second number is for a robot that starts there without memory of the first search.
-    """
-    mission = looks(f"Reach a {first}, then a {second}.", seed)
-    turn = mission[0][0]
-    before = [pose for t, _, pose in mission if t == turn]
-    after = [look for look in mission if look[0] != turn]
-    forgetful = looks(f"Reach a {second}.", seed, list(before[-1]))
-    return again_m2(seed, before, after), again_m2(seed, before, forgetful)
-
-
-@pytest.mark.slow
-def test_missions_revisit_less_floor_than_a_forgetful_robot():
-    """The path to the next frontier leads through seen space, so the area is not zero."""
-    found = [
-        again_and_forgetful_m2(2, "toilet", "refrigerator"),
-        again_and_forgetful_m2(5, "bed", "toilet"),
-        again_and_forgetful_m2(8, "sofa", "bed"),
-        again_and_forgetful_m2(11, "refrigerator", "toilet"),
-        again_and_forgetful_m2(14, "toilet", "bed"),
-    ]
-    assert all(again <= forgetful + 0.5 for again, forgetful in found)
-    assert sum(again for again, _ in found) < 0.6 * sum(forgetful for _, forgetful in found)

@@ -10,12 +10,7 @@ import pytest
 from edge.errors import FileError, UserError
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.outcome import (
-    OUTCOMES_NAME,
-    EpisodeOutcome,
-    OutcomeFile,
-    crashed_outcome,
-)
+from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, OutcomeFile, crashed_outcome
 
 COLUMN = ExperimentArm("hvl", {}, {}, "c0", "here")
 EPISODE = Episode("e0", {"kind": "house", "house": "demo"}, (0.0, 1.0, 2.0), "bed", None, 3.0)

