@@ -211,7 +211,7 @@ class Instance:
         last_seen_ns: Stamp of the newest of these frames.
         state: `tentative` until enough detections confirm it; `confirmed`; `rejected`: it is not
             the target, and the robot does not drive to it; `reached`: the mission reached it.
-        apart: Ids of other objects of its name that an image showed next to it, with a gap.
+        apart: Ids of other objects of its name that images showed next to it, with a gap.
     """
 
     id: int

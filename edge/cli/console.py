@@ -95,7 +95,8 @@ def status_line(result: TickResult) -> str:
 def _search_parts(result: TickResult) -> list[str]:
     """Return the present goal, and the number of objects that may be the target."""
     goal, pose, target = result.goal, result.pose, result.status.target
-    seen = sum(names.same_name(found.label, target) for found in result.instances())
+    label = result.targets.get(target, target)
+    seen = sum(names.same_name(found.label, label) for found in result.instances())
     away_m = 0.0 if goal is None or pose is None else pose.distance_to(*goal.candidate_xy_m)
     return ["no goal" if goal is None else f"{goal.kind} {away_m:.1f} m", f"{seen} seen"]
 

@@ -28,7 +28,6 @@ _VERBS = {
     "resume": "continue the paused mission",
     "confirm": "confirm that the object the robot asks about is the target",
     "cancel": "end the running mission",
-    "again": "start the last mission once more",
     "status": "show the state of the mission",
 }
 

@@ -105,7 +105,7 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
     """Return the data that rarely change: mission, driven path, latency, log, health."""
     result, mission = snapshot.result, snapshot.result.mission()
     return {
-        "targets": list(result.targets),
+        "targets": list(result.targets.values()),
         "mission": {**mission_json(mission), "warnings": list(mission.spec.warnings)},
         "automaton": automaton_json(mission),
         "steps": [

@@ -140,6 +140,11 @@ def test_a_mission_to_a_closed_room_is_refused(in_kitchen):
     begin("go to the living room")
     service.change_site(Site(), 0)
     begin("go to the kitchen")
+    service.control.fail("enough", 0)
+    service.change_site(Site((CLOSED,)), 0)
+    with pytest.raises(UserError, match=why.format("kitchen")):
+        handle_mission(service, Request("again"), in_kitchen.drive.motion.stamp_ns)
+    service.change_site(Site(), 0)
 
 
 def test_a_mission_to_an_undiscovered_closed_room_fails():

@@ -12,8 +12,11 @@ from simulated import simulated
 from edge import names
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests.handlers import handle_mission, mission_verbs
+from edge.memory import Place, Site
+from edge.mission.destinations import PlaceTarget
 from edge.mission.language.intents import MemoryQuestion, NoMissionError
 from edge.tasks.mission_spec import prepare_mission
 
@@ -109,7 +112,21 @@ def test_the_last_mission_starts_once_more():
         say(loop, "Do that again.")
     say(loop, "Cancel that.")
     assert say(loop, "Do that again.")["phase"] == "searching"
-    assert service.mission.spec is spec
+    assert service.mission.spec.automaton is spec.automaton
+
+
+def test_places_of_the_last_mission_may_have_moved():
+    config = simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}})
+    loop = ClosedLoop(config, colour=False, site=Site((Place("dock", SE2(2.0, 1.0, 0.0)),)))
+    say(loop, "Go to the dock, then to the bed, and come back.")
+    say(loop, "Cancel that.")
+    loop.service.change_site(Site((Place("dock", SE2(1.0, 2.0, 0.0)),)), 0)
+    say(loop, "Once more, please.")
+    assert loop.service.mission.destinations["dock"] == PlaceTarget(SE2(1.0, 2.0, 0.0))
+    say(loop, "Cancel that.")
+    loop.service.change_site(Site(), 0)
+    with pytest.raises(UserError, match=r"cannot start it again: no place dock is known now$"):
+        say(loop, "Once more, please.")
 
 
 def test_nothing_starts_once_more_before_the_first_mission():

@@ -149,6 +149,7 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("All clear, carry on with what you was doing.", Control("resume")),
         ("Never mind, forget it.", Control("cancel")),
         ("Forget about that task.", Control("cancel")),
+        ("Stop! Do it again.", Control("pause")),
         ("Again, please!", Control("again")),
         ("Could you do that once more?", Control("again")),
         ("Try again.", Control("again")),

@@ -76,17 +76,44 @@ def test_nearby_boxes_of_a_class_merge(scene, second, count):
 
 
 @pytest.mark.parametrize(
-    ("y_m", "count"), [(0.25, 1), (0.5, 2)], ids=["their surfaces touch", "with a gap"]
+    ("other", "images", "count", "apart"),
+    [
+        (("chair", 2, 0.25, 0.5), 3, 1, [set()]),  # parts that touch
+        (("chair", 2, 0.55, 0.5), 2, 1, [set(), set()]),
+        (("chair", 2, 0.55, 0.5), 3, 2, [{2}, {1}]),
+        (("sofa", 2, 0.55, 0.5), 3, 2, [set(), set()]),
+    ],
+    ids=["no gap", "few images", "a gap", "another label"],
 )
-def test_boxes_side_by_side_in_an_image_are_two_objects_if_there_is_a_gap(scene, y_m, count):
+def test_boxes_with_a_gap_in_one_image_are_two_objects(scene, other, images, count, apart):
+    s = scene(merge_m=0.6)
+    for _ in range(images):
+        s.see(("chair", 2, 0, 0.6), other)
+    assert [one.apart for one in s.tracker.all] == apart
+    for y_m in (0, other[2], 0.5 * other[2]) * 4:  # later images show one of them, or both as one
+        s.see(("chair", 2, y_m, 0.6))
+    assert len(s.tracker) == count
+    copy = InstanceTracker(s.tracker.config)
+    copy.load_state_dict(s.tracker.state_dict(), 0)
+    assert [one.apart for one in copy.all] == [one.apart for one in s.tracker.all]
+
+
+def test_objects_that_are_apart_are_never_merged(scene):
+    s = scene(merge_m=1.0)
+    for _ in range(3):
+        s.see(("sofa", 2.0, 0, 0.6), ("sofa", 3.6, 0, 0.5))
+    for _ in range(12):
+        s.see(("sofa", 2.9, 0, 0.6), size_m=0.8)
+    assert len(s.tracker) == 2
+
+
+def test_two_boxes_at_a_rejected_object_start_no_other(scene):
     s = scene(merge_m=0.6)
     s.see(("chair", 2, 0, 0.6))
-    assert len(s.see(("chair", 2, 0, 0.6), ("chair", 2, y_m, 0.5))) == count
-    for y_seen_m in (0, y_m, 0.5 * y_m) * 4:  # later images show one of them, or both as one
-        s.see(("chair", 2, y_seen_m, 0.6))
-    found = s.tracker.all
-    assert len(found) == count
-    assert [one.apart for one in found] == [{2}, {1}] * (count - 1) or count == 1
+    s.tracker.reject(1)
+    for _ in range(4):
+        s.see(("chair", 2, 0, 0.6), ("chair", 2, 0.5, 0.6))
+    assert [one.state for one in s.tracker.all] == ["rejected"]
 
 
 def test_instances_that_grow_together_become_one(scene):

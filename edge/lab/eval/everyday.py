@@ -5,7 +5,7 @@ Each line of the file is a JSON object. `said` is the sentence, and `expect` is 
 - "mission", with its `formula`, and `minutes` or `seconds` for waits and other times;
 - "question", `about` a name;
 - "learn": remember a place, a room or a zone, `about` a name;
-- "control": pause, resume or cancel;
+- "control": pause, resume, cancel or again;
 - "ask": the service should ask what is meant;
 - "refuse".
 
@@ -76,7 +76,7 @@ The first match counts.
 """
 _CONTROL = {
     "pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume",
-    "cancel": "cancel|abort|give up",
+    "cancel": "cancel|abort|give up", "again": "again|repeat|once more",
 }  # fmt: skip
 """`Control.do` → pattern that `meaning` must match."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from edge.loop.requests.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.requests.site_requests import SITE_VERBS, handle_site
 from edge.loop.result import mission_facts
 from edge.loop.status import reply_json
-from edge.mission.destinations import LONGEST_S
+from edge.mission.destinations import LONGEST_S, PlaceTarget
 from edge.mission.language.intents import (
     Control,
     MemoryQuestion,
@@ -240,8 +241,8 @@ def handle_mission(
     any, the request succeeds even if no mission is running.
 
     Raises:
-        UserError: There is nothing to pause, resume or cancel, or the mission cannot be started.
-            Nothing has changed then.
+        UserError: There is nothing to pause, resume, cancel or start again, or the mission cannot
+            be started. Nothing has changed then.
     """
     mission, name, answer = service.mission, request.fields.get("id", ""), {}
     if isinstance(request.prepared, (MemoryQuestion, SiteOrder)):
@@ -290,13 +291,23 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
 
 
 def _begin_again(service: Service, now_ns: int) -> None:
-    """Start the last mission once more."""
+    """Start the last mission once more, with its places where they are now."""
     mission = service.mission
     if mission.ended == "idle" or not mission.done:
         still = "" if mission.ended == "idle" else "; it still runs, so cancel it first"
         raise UserError(f"cannot start it again: {_last_mission_text(service)}{still}")
-    refuse_closed(mission.spec, service.site.known, service.map)
-    service.begin(mission.spec, now_ns)
+    spec, site, found = mission.spec, service.site.known, {}
+    for name, destination in spec.translation.destinations.items():
+        found[name] = destination
+        if isinstance(destination, PlaceTarget) and destination.pose is not None:
+            if (place := site.place(name)) is None:
+                raise UserError(
+                    f"cannot start it again: no place {one_line(name, 60)} is known now"
+                )
+            found[name] = PlaceTarget(place.pose)  # it may have been moved
+    spec = replace(spec, translation=replace(spec.translation, destinations=found))
+    refuse_closed(spec, site, service.map)
+    service.begin(spec, now_ns)
 
 
 def _last_mission_text(service: Service) -> str:

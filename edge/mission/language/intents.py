@@ -84,7 +84,7 @@ class SiteOrder:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """An order about the present mission.
+    """An order about the present mission, or the last one.
 
     Attributes:
         do: "pause" stops the robot, "resume" goes on, and "cancel" ends the mission; "again" starts
@@ -110,7 +110,7 @@ class NoMissionError(UnclearError):
         what = {
             MemoryQuestion: "a question, which memory answers",
             SiteOrder: "an order to learn",
-            Control: "about the present mission",
+            Control: "about the present or last mission",
         }[type(intent)]
         super().__init__(f"instruction: no mission, but {what}; send it to the running service")
         self.intent = intent
@@ -244,7 +244,7 @@ def _may_be_in_a_mission(kind: Intent) -> bool:
 def _may_be_order(piece: str, kind: Intent | None) -> bool:
     """Return True if a piece may say more than to stop."""
     if kind is not None:
-        return kind != Control("pause")
+        return kind not in (Control("pause"), Control("again"))
     words = piece.lower().split()
     named = is_room(bare(piece)) or nouns.unknown_in(bare(piece).split()) is None
     return named or has_order(words) or not {"to", "into", "then", "not", "but"}.isdisjoint(words)

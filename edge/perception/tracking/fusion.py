@@ -13,6 +13,7 @@ Names such as `tau_det` and `merge_m` are keys of `perception` in the configurat
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -23,6 +24,7 @@ from edge.geometry import invert
 from edge.perception.tracking import instance_kernels as kernels
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import BackProjectedBoxes
+from edge.perception.tracking.lift_kernels import INNER
 from edge.perception.tracking.look_kernels import (
     AT_EDGE,
     HIDDEN,
@@ -39,7 +41,8 @@ from edge.perception.tracking.track import InstanceTrack
 from edge.types import Observation
 
 APART_M = 0.1
-"""Two boxes of a name in one image are of two objects if their surfaces are this far apart."""
+"""Two boxes of a name in one image are of two objects if there is such a gap between them."""
+APART_IMAGES = 3  # images that must show the gap
 DECAY = 0.9
 """Factor on the score of an instance for each view that should show it and does not."""
 FORGET_SHARE = 0.5
@@ -73,6 +76,7 @@ class InstanceFusion:
 
     def __init__(self, tracker: InstanceTracker, sightings: ObjectTracker | None = None) -> None:
         self._tracker, self._objects = tracker, sightings
+        self._seen_apart: Counter[tuple[int, int]] = Counter()  # images, by the ids of both
 
     def update(self, boxes: BackProjectedBoxes, stamp_ns: int) -> None:
         """Merge the detections of one image, strongest first."""
@@ -88,8 +92,9 @@ class InstanceFusion:
             name = name_of_class[class_id]
             track = tracker.match(name, x_m, y_m)
             first = None if track is None else hit.get(track.instance.id)
-            if first is not None and strong and _are_apart(boxes, i, first):
-                track = tracker.match(name, x_m, y_m, but=hit)
+            is_rejected = track is not None and track.instance.state == "rejected"
+            if first is not None and strong and not is_rejected and _are_apart(boxes, i, first):
+                track = tracker.match(name, x_m, y_m, excluded=hit)
             if track is None:
                 if not strong:
                     continue
@@ -109,9 +114,14 @@ class InstanceFusion:
             if strong:
                 hit[track.instance.id] = i
                 self._count_good_hit(track, points, score, seen.observation, stamp_ns)
-        for one, other in combinations(hit, 2):
-            if _are_apart(boxes, hit[one], hit[other]):
-                self._mark_apart(one, other)
+        left = [tracker.tracks[i] for i in hit if i in tracker.tracks]  # others were rejected
+        for track, other in combinations(left, 2):
+            one, two = track.instance, other.instance
+            if track.name == other.name and _are_apart(boxes, hit[one.id], hit[two.id]):
+                pair = min(one.id, two.id), max(one.id, two.id)
+                self._seen_apart[pair] += 1
+                if self._seen_apart[pair] >= APART_IMAGES:
+                    one.apart, two.apart = one.apart | {two.id}, two.apart | {one.id}
         for instance_id in hit:
             self._merge_overlapping(instance_id)
         tracker.limit()
@@ -252,13 +262,6 @@ class InstanceFusion:
             )
         return track.contested
 
-    def _mark_apart(self, one: int, other: int) -> None:
-        """Note that an image showed a gap between two instances: they are two objects."""
-        tracks = self._tracker.tracks
-        if one in tracks and other in tracks:
-            tracks[one].instance.apart |= {other}
-            tracks[other].instance.apart |= {one}
-
     def _merge_overlapping(self, instance_id: int) -> None:
         """Merge an instance with those of its name that overlap it; the oldest one stays."""
         tracks, c = self._tracker.tracks, self._tracker.config
@@ -279,8 +282,6 @@ class InstanceFusion:
             older = other.instance.id < track.instance.id
             old, new = (other, track) if older else (track, other)
             del tracks[new.instance.id]
-            for neighbour in new.instance.apart:
-                self._mark_apart(old.instance.id, neighbour)
             old.absorb(new)
             self._update_state(old)
             old.grow(new.instance.points_m, c.voxel_m)
@@ -288,9 +289,12 @@ class InstanceFusion:
 
 
 def _are_apart(boxes: BackProjectedBoxes, i: int, j: int) -> bool:
-    """Return True if two boxes of an image show surfaces that do not touch."""
-    gap_m, _, _ = kernels.least_gap(boxes.surface_m(i), boxes.surface_m(j))
-    return gap_m >= APART_M
+    """Return True if there is a gap between the objects of two boxes."""
+    one_m, other_m = boxes.surface_m(i), boxes.surface_m(j)
+    gap_m, _, _ = kernels.least_gap(one_m, other_m)
+    # The surfaces are of the inner part of each box, so boxes that touch have a gap, too.
+    extents_m = sum(float(np.ptp(points_m[:, :2], axis=0).max()) for points_m in (one_m, other_m))
+    return gap_m >= APART_M + 0.5 * (1.0 / INNER - 1.0) * extents_m
 
 
 def near_range_m(confirm_range_m: float, z_m: float, observation: Observation) -> float:

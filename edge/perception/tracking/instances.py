@@ -189,6 +189,9 @@ class InstanceTracker:
             "n_points": np.array([len(each) for each in points], np.int32),
             "points_m": np.concatenate(points) if points else np.zeros((0, 3), np.float32),
             "support": np.concatenate([np.zeros(0, np.int32), *(t.support for t in tracks)]),
+            "apart": np.array(
+                [(one.id, other) for one in found for other in one.apart], np.int64
+            ).reshape(-1, 2),
             "next_id": np.array(self.newest_id + 1),
         }
 
@@ -202,10 +205,11 @@ class InstanceTracker:
         Raises:
             ValueError: the state is invalid.
         """
+        state = {"apart": np.zeros((0, 2), np.int64), **state}  # older checkpoints have none
         each = tuple(name for name, _ in (*_COLUMNS, *_EVIDENCE))
         # Most rows of each group of arrays, and largest values: a file may be damaged.
         rows = {(*each, "label", "state", "n_points"): 1 << 13}
-        rows[("points_m", "support")] = MAX_POINTS << 13
+        rows[("points_m", "support")], rows["apart",] = MAX_POINTS << 13, 1 << 13
         most = {"state": len(_STATES) - 1, "n_points": MAX_POINTS, "score": 2}
         most |= dict.fromkeys(("views", "target_sum", "competing_sum"), FARTHEST_M)
         check_arrays(state, self.state_dict(), rows, most, ("id",))
@@ -226,6 +230,9 @@ class InstanceTracker:
             for name, _ in _EVIDENCE:
                 setattr(track, name, state[name][row].item())
             track.evidence_ns += later_ns
+        for one, other in state["apart"].tolist():
+            if one in self.tracks:
+                self.tracks[one].instance.apart |= {other}
         self.newest_id = max(self.newest_id, int(state["next_id"]) - 1)
         self.limit()
 
@@ -253,16 +260,16 @@ class InstanceTracker:
                 del self.tracks[track.instance.id]
 
     def match(
-        self, name: str, x_m: float, y_m: float, but: Collection[int] = ()
+        self, name: str, x_m: float, y_m: float, excluded: Collection[int] = ()
     ) -> InstanceTrack | None:
         """Return the instance that a detection belongs to, or None.
 
-        A rejected instance near the detection comes first. `but` are ids of instances that it
-        cannot be.
+        A rejected instance near the detection comes first. `excluded`: ids of instances that it
+        does not belong to.
         """
         best, best_m = None, self.config.merge_m
         for track in self.tracks.values():
-            if track.name != name or track.instance.id in but:
+            if track.name != name or track.instance.id in excluded:
                 continue
             apart_m = track.distance_m(x_m, y_m)
             if track.instance.state == "rejected":

@@ -385,7 +385,11 @@ COUNTED = re.compile(
     re.I,
 )
 # "… and every chair"
-EACH_OBJECT = re.compile(rf"\b(?:every|each)(?: single)? (?P<object>{PLAIN_NAME})", re.I)
+EACH_OBJECT = re.compile(
+    r"(?:,|\b(?:and|or|then|to|visit|find|reach|pass)) (?:every|each)(?: single)? "
+    rf"(?P<object>{PLAIN_NAME})",
+    re.I,
+)
 _ANOTHER = r"(?:another|an other|(?:a|one) (?:different|second|further|new)|one more)"
 _WHERE = rf"(?: (?P<%s>{phrase_of('relation')}) (?P<%s>{NAME}))?"
 # "find a chair in the hall, then wait and find another one", also "…, then another"

@@ -241,7 +241,8 @@ def _refuse_other_counts(text: str) -> None:
     """Refuse "every chair" beside other names, which a translator would read as one chair."""
     for sentence in re.split(r"[.;!?]", re.sub(r'"[^"]*"', '""', text)):
         for found in patterns.EACH_OBJECT.finditer(sentence):
-            if _is_countable(bare(found["object"])) and not patterns.BAN.search(sentence):
+            is_ban = patterns.BAN.search(sentence, 0, found.start())
+            if _is_countable(bare(found["object"])) and not is_ban:
                 hint = "unclear if this means every one of them; say 'find all …' for each"
                 raise unclear(found[0].strip(), hint)
 

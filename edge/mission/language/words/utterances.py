@@ -317,11 +317,13 @@ CONTROL = {
             mission|task|patrol|tour|errand|rounds|job|for it]
     """,
     "again": """
-        [please] [try|do|run|start|repeat] [it|that|this|the same [thing]|the (last|same|previous)
-            (mission|task|errand|tour|patrol|order|run)]
-            (again|once more|one more time|another time|once again) [please]
-        [please] (repeat|redo) (it|the (last|same|previous) (mission|task|errand|tour|patrol|order|
-            run)) [please]
+        [please] [the same] (again|once more|one more time|once again) [please]
+        [please] (try|do|repeat|run) [it|that|the same [thing]] (again|once more|one more time|
+            once again) [please]
+        [please] (try|do|repeat|run|start) the [last|same|previous] (mission|task|errand|tour|
+            patrol|order) (again|once more|one more time|once again) [please]
+        [please] (repeat|redo) [it|that|the [last|same|previous] (mission|task|errand|tour|patrol|
+            order)] [please]
         [please] do the same [thing] [please]
     """,
     "pause": """
