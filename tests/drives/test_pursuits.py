@@ -169,6 +169,12 @@ def test_all_objects_of_a_name_are_counted(formula, answer, tmp_path):
     assert re.match(answer, status.reason), status.reason
 
 
+def test_a_room_that_is_not_there_is_the_reason_of_the_failure(tmp_path):
+    status = in_rooms(tmp_path, 'F "every bed in kitchen"').run(150).service.status
+    assert status.phase == "failed", status
+    assert re.match("explored all reachable space.*, found no kitchen$", status.reason), status
+
+
 def test_a_room_that_gets_another_name_meanwhile_is_still_counted(tmp_path):
     den, later = (Site((RoomName(name, (2.0, 2.0)),)) for name in ("den", "library"))
     loop = loop_of(tmp_path, "F start")

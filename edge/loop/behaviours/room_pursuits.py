@@ -326,8 +326,8 @@ class ExploreRoomPursuit(RoomPursuit):
         return self._chooser.choose(context, self._map.grid, scores, images)
 
     def _failure_reason(self) -> str:
-        found = "found no path to the" if self._chosen_id else "found no"
-        return f"explored all reachable space, {found} {self._destination.name}"
+        missing = f"{'no path to the' if self._chosen_id else 'no'} {self._destination.name}"
+        return self._chooser.failure_reason(self._mission, self._map.grid, missing)
 
     def end(self, now_ns: int) -> None:
         """End the target: the room is explored, or the time is over."""

@@ -204,18 +204,23 @@ class GoalChooser:
             tracked = TrackedGoal(goal, peak)
         self._restored = (target, SearchState.of_state_dict(state), tracked)
 
-    def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
-        """Return why the target was not reached, when all attempts are exhausted."""
+    def failure_reason(self, mission: MissionRun, grid: RollingMap, missing: str = "") -> str:
+        """Return why the target was not reached, when all attempts are exhausted.
+
+        `missing` says what was not found, such as "no kitchen"; "": the target.
+        """
         target, views = mission.target, self.next_view.views
-        found = "found no path to" if target in mission.sets.detected else "found no"
+        if not missing:
+            place = _unreached_text(self._tracker.of(target), grid, self.config.mission.reach_m)
+            no = "no path to" if target in mission.sets.detected else "no"
+            missing = f"{no} {target}{place}"
         looked_again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
         blocked = _blocked_text(grid)
         n_left = self._pool.out_of_reach if blocked else 0
         explored = "explored all reachable space"
         if n_left:
             explored = f"no path to the {n_left} remaining frontier{'s' * (n_left > 1)}"
-        place = _unreached_text(self._tracker.of(target), grid, self.config.mission.reach_m)
-        return f"{explored}{looked_again}, {found} {target}{place}{blocked}"
+        return f"{explored}{looked_again}, found {missing}{blocked}"
 
     def _choose(
         self,
