@@ -36,9 +36,12 @@ _RETRIES = 2
 _PAUSE_NS = 10_000_000_000
 # Largest number of retries of cells in which something arrived, when no candidate is left: a door
 # may stay closed.
-_WAITS = 6
+_WAITS = 10
 # Number of these retries after which any small obstacle may have been a person.
 _SMALL_FROM = 2
+# Number of these retries that the search waits for even if all candidates are in reach: a person
+# may stand in a door that was not seen yet.
+_LEAST_WAITS = 3
 # A frontier is unreliable if it was left this many times (for another, or because it vanished)
 # before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
 # either drives all the way to it or ignores it.
@@ -225,7 +228,7 @@ class SearchState:
         c = context.candidates
         has_unreachable = bool(np.isinf(c.path_m[: c.n]).any())
         forgot = self._forget_arrivals(grid, small_too=self._waits >= _SMALL_FROM)
-        self.waiting = forgot and has_unreachable
+        self.waiting = forgot and (has_unreachable or self._waits <= _LEAST_WAITS)
         if not (forgot or opened):
             return is_first
         pool.discarded.clear()
