@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from edge.loop.behaviours.tours import end_with_count
+from edge.geometry import SE2
+from edge.loop.behaviours.tours import TriedPlaces, end_with_count
+from edge.types import Goal, Instance
 
 
 def at(x_m, state):
-    return SimpleNamespace(center_m=np.array([x_m, 0.0, 0.5]), state=state)
+    centre_m = np.array([[x_m, 0.0, 0.5]], np.float32)
+    return Instance(1, "shelf", centre_m[0], centre_m, 0.5, 9, 0, 0, state)
 
 
 @pytest.mark.parametrize(
@@ -43,3 +47,28 @@ def test_the_result_has_number_places_and_gaps(reached, missed, parts, result):
         7,
     )
     assert ended == [(result, 7, result)]
+
+
+@pytest.mark.parametrize(
+    ("seen_from_m", "state", "again_at_m", "is_left"),
+    [
+        (2.0, "tentative", 5.0, False),
+        (2.0, "tentative", 5.5, False),
+        (2.0, "tentative", 7.0, True),  # at another place
+        (2.0, "confirmed", 5.0, True),
+        (9.0, "tentative", 5.0, True),  # the robot turned back far from it
+    ],
+)
+def test_a_place_that_was_tried_in_vain_is_left_out(seen_from_m, state, again_at_m, is_left):
+    known = {1: at(5.0, state)}
+    tried = TriedPlaces(SimpleNamespace(get=known.get), near_m=3.0)
+    assert tried.without([]) == []
+    tried.note(None, SE2(0.0, 0.0, 0.0))
+    goal = Goal(1, SE2(4.2, 0.0, 0.0), "instance", 1, (5.0, 0.0), 0.5, "shelf")
+    tried.note(goal, SE2(0.0, 0.0, 0.0))
+    tried.note(replace(goal, stamp_ns=2), SE2(5.0 - seen_from_m, 0.0, 0.0))
+    assert tried.without([at(5.0, "tentative")])  # it still drives there
+    tried.note(None, SE2(5.0 - seen_from_m, 0.0, 0.0))
+    again = [at(again_at_m, "tentative")]
+    assert tried.without(again) == again * is_left
+    assert tried.without([at(5.0, "reached")])

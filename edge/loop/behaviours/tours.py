@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from edge import names
+from edge.geometry import SE2
 from edge.loop.behaviours.pursuits import Pursuit, objects_found
 from edge.loop.behaviours.room_pursuits import ExploreRoomPursuit, SearchRoomPursuit
 from edge.loop.behaviours.room_targets import is_closed
@@ -15,11 +17,13 @@ from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, parse_description
 from edge.mission.destinations import EveryObjectTarget, EveryRoomTarget
 from edge.mission.run import MissionRun
+from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
 from edge.text import one_line
-from edge.types import Instance
+from edge.types import Goal, Instance
 
 _TRIES = 2  # failed goals in a room after which a tour leaves it out
+_TRIED_M = 0.8  # another object this near to a place that was tried is taken for the same
 
 
 class EveryRoomPursuit(ExploreRoomPursuit):
@@ -106,13 +110,58 @@ class EveryRoomPursuit(ExploreRoomPursuit):
         return bool(self._is_in(np.array(points_m, np.float32).reshape(-1, 2), room).any())
 
 
+class TriedPlaces:
+    """Places where an object seemed to be, and was not confirmed from near by.
+
+    A count would go on for minutes to what the detector sees there again and again.
+
+    Args:
+        tracker: the objects.
+        near_m: objects nearer than this should be confirmed.
+    """
+
+    def __init__(self, tracker: InstanceTracker, near_m: float) -> None:
+        self._tracker, self._near_m = tracker, near_m
+        self._goal: Goal | None = None  # of the tick before
+        self._tried_m: list[tuple[float, float]] = []
+
+    def note(self, goal: Goal | None, pose: SE2) -> None:
+        """Note the goal of a tick: the place of the goal before may have been tried in vain."""
+        last, self._goal = self._goal, goal
+        if last is None or last.kind != "instance":
+            return
+        if goal is not None and goal.candidate_id == last.candidate_id:
+            return
+        instance = self._tracker.get(last.candidate_id)
+        is_near = pose.distance_to(*last.candidate_xy_m) <= self._near_m
+        if is_near and (instance is None or not instance.is_confirmed):
+            self._tried_m.append(last.candidate_xy_m)
+
+    def without(self, instances: Sequence[Instance]) -> list[Instance]:
+        """Return the objects that are confirmed, or at no such place."""
+        return [
+            one
+            for one in instances
+            if one.is_confirmed or all(one.distance_m(*xy_m) > _TRIED_M for xy_m in self._tried_m)
+        ]
+
+
 class EveryObjectPursuit(Pursuit[EveryObjectTarget]):
     """Pursuit of all objects of a name: go to each one, and explore until nothing is left.
 
     It ends then: retries would go on for minutes, to objects that are out of reach or doubtful.
     """
 
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        perception = self._map.config.perception
+        self._tried = TriedPlaces(self._map.tracker, perception.confirm_range_m)
+
+    def gather(self) -> Sequence[Instance]:
+        return self._tried.without(super().gather())
+
     def check_progress(self, context: PolicyInput, images: int) -> None:
+        self._tried.note(self._goals.goal, context.pose)
         self._mission.activity = f"looking for {self._mission.target}"
         if self._chooser.search.exhausted:
             self.finish(context.now_ns)
@@ -128,6 +177,18 @@ class EveryObjectPursuit(Pursuit[EveryObjectTarget]):
 
 class EveryObjectInRoomPursuit(SearchRoomPursuit):
     """Pursuit of all objects of a name in one room: it ends as soon as the room is explored."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        perception = self._map.config.perception
+        self._tried = TriedPlaces(self._map.tracker, perception.confirm_range_m)
+
+    def gather(self) -> Sequence[Instance]:
+        return self._tried.without(super().gather())
+
+    def check_progress(self, context: PolicyInput, images: int) -> None:
+        self._tried.note(self._goals.goal, context.pose)
+        super().check_progress(context, images)
 
     def end(self, now_ns: int) -> None:
         end_with_count(self._mission, self._map, self._target_label, self._in_room, now_ns)
