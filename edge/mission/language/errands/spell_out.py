@@ -238,7 +238,7 @@ def _refuse_more_of_each(found: re.Match[str]) -> None:
 
 
 def _refuse_other_counts(text: str) -> None:
-    """Refuse "every chair" beside other names, which a translator would read as one chair."""
+    """Refuse "every chair" with other names, which a translator would read as one chair."""
     for sentence in re.split(r"[.;!?]", re.sub(r'"[^"]*"', '""', text)):
         for found in patterns.EACH_OBJECT.finditer(sentence):
             is_ban = patterns.BAN.search(sentence, 0, found.start())
