@@ -61,7 +61,12 @@ def test_the_result_has_number_places_and_gaps(reached, missed, parts, result):
 )
 def test_a_place_that_was_tried_in_vain_is_left_out(seen_from_m, state, again_at_m, is_left):
     known = {1: at(5.0, state)}
-    tried = TriedPlaces(SimpleNamespace(get=known.get), near_m=3.0)
+    perception = SimpleNamespace(confirm_range_m=3.0)
+    tried = TriedPlaces(
+        SimpleNamespace(
+            tracker=SimpleNamespace(get=known.get), config=SimpleNamespace(perception=perception)
+        )
+    )
     assert tried.without([]) == []
     tried.note(None, SE2(0.0, 0.0, 0.0))
     goal = Goal(1, SE2(4.2, 0.0, 0.0), "instance", 1, (5.0, 0.0), 0.5, "shelf")

@@ -17,7 +17,6 @@ from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, parse_description
 from edge.mission.destinations import EveryObjectTarget, EveryRoomTarget
 from edge.mission.run import MissionRun
-from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
 from edge.text import one_line
 from edge.types import Goal, Instance
@@ -111,17 +110,14 @@ class EveryRoomPursuit(ExploreRoomPursuit):
 
 
 class TriedPlaces:
-    """Places where an object seemed to be, and was not confirmed from near by.
+    """Places where an object seemed to be, and was not confirmed from within `confirm_range_m`.
 
-    A count would go on for minutes to what the detector sees there again and again.
-
-    Args:
-        tracker: the objects.
-        near_m: objects nearer than this should be confirmed.
+    Without them, a count goes on for minutes to what the detector sees there again and again.
     """
 
-    def __init__(self, tracker: InstanceTracker, near_m: float) -> None:
-        self._tracker, self._near_m = tracker, near_m
+    def __init__(self, semantic_map: SemanticMap) -> None:
+        self._tracker = semantic_map.tracker
+        self._near_m = semantic_map.config.perception.confirm_range_m
         self._goal: Goal | None = None  # of the tick before
         self._tried_m: list[tuple[float, float]] = []
 
@@ -154,8 +150,7 @@ class EveryObjectPursuit(Pursuit[EveryObjectTarget]):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        perception = self._map.config.perception
-        self._tried = TriedPlaces(self._map.tracker, perception.confirm_range_m)
+        self._tried = TriedPlaces(self._map)
 
     def gather(self) -> Sequence[Instance]:
         return self._tried.without(super().gather())
@@ -180,8 +175,7 @@ class EveryObjectInRoomPursuit(SearchRoomPursuit):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        perception = self._map.config.perception
-        self._tried = TriedPlaces(self._map.tracker, perception.confirm_range_m)
+        self._tried = TriedPlaces(self._map)
 
     def gather(self) -> Sequence[Instance]:
         return self._tried.without(super().gather())
