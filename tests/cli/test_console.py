@@ -49,10 +49,12 @@ def latency() -> LatencyRing:
     return ring
 
 
-def test_the_status_line_of_a_driving_robot():
+@pytest.mark.parametrize(("target", "label"), [("couch", "couch"), ("every couch", "couch")])
+def test_the_status_line_of_a_driving_robot(target, label):
     line = status_line(
         result(
-            status=MissionStatus("couch", "approaching", elapsed_s=61.26),
+            status=MissionStatus(target, "approaching", elapsed_s=61.26),
+            targets={target: label},
             pose=SE2(1.0, 0.0, 0.0),
             goal=Goal(0, SE2(2.0, 0.0, 0.0), "instance", 1, (2.24, 0.0), 0.5, "couch"),
             mission=facts,
@@ -62,7 +64,7 @@ def test_the_status_line_of_a_driving_robot():
         )
     )
     assert line == (
-        "61.3s approaching couch | instance 1.2 m | 2 seen | map 41 m2 "
+        f"61.3s approaching {target} | instance 1.2 m | 2 seen | map 41 m2 "
         "| tick p95 2.0 ms | detector 9 ms"
     )
 

@@ -98,6 +98,14 @@ def test_boxes_with_a_gap_in_one_image_are_two_objects(scene, other, images, cou
     assert [one.apart for one in copy.all] == [one.apart for one in s.tracker.all]
 
 
+def test_two_boxes_that_touch_are_one_object(scene):
+    """The surfaces are of the inner part of each box, so there is a gap between them."""
+    s = scene(merge_m=0.6)
+    for _ in range(4):
+        s.see(("sofa", 2, 0, 0.6), ("sofa", 2, 0.6, 0.5), size_m=0.25)
+    assert [one.apart for one in s.tracker.all] == [set()]
+
+
 def test_objects_that_are_apart_are_never_merged(scene):
     s = scene(merge_m=1.0)
     for _ in range(3):
