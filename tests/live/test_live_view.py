@@ -81,6 +81,12 @@ def test_the_page_works_before_the_service_starts(view):
     )  # fmt: skip
 
 
+def test_the_page_gets_the_labels_that_the_targets_mean(view):
+    view.sink.mark_watched()
+    view.sink.tick(result(**{**full(), "targets": {"every chair": "chair", "dock": "dock"}}))
+    assert fetch(view, "/live/story")["targets"] == ["chair", "dock"]
+
+
 def test_only_the_page_itself_is_public(view):
     html = view.pages()["/"]().body.decode()
     for path in PUBLIC:
