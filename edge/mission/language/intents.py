@@ -26,7 +26,7 @@ from edge.mission.language.words.everyday_words import (
 )
 from edge.mission.language.words.places import is_marked
 from edge.mission.language.words.spans import seconds_of
-from edge.mission.language.words.templates import compile_templates, first_match
+from edge.mission.language.words.templates import SentenceTemplate, compile_templates, first_match
 from edge.mission.language.words.tokens import UnclearError
 from edge.mission.language.words.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
@@ -171,8 +171,8 @@ _SEVERAL_KINDS = "instruction: say one at a time: an errand, a question, or what
 
 
 @lru_cache(maxsize=1)
-def _templates() -> dict[str, list[re.Pattern[str]]]:
-    """Return the patterns of each kind, in the order in which they are tried."""
+def _templates() -> dict[str, list[SentenceTemplate]]:
+    """Return the templates of each kind, in the order in which they are tried."""
     templates = {**QUESTIONS, **CONTROL, **ORDERS}
     return {kind: compile_templates(lines, PARTS) for kind, lines in templates.items()}
 

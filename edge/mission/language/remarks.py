@@ -7,7 +7,7 @@ from functools import lru_cache
 
 from edge.mission.language.words.everyday_words import ARTICLE, phrase_of
 from edge.mission.language.words.lexicon import PAST, TABLE
-from edge.mission.language.words.templates import compile_templates, first_match
+from edge.mission.language.words.templates import SentenceTemplate, compile_templates, first_match
 from edge.mission.language.words.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 
 _MAY_DIRECT = re.compile(
@@ -72,5 +72,5 @@ def has_order(words: list[str]) -> bool:
 
 
 @lru_cache(maxsize=8)
-def _templates(templates: str) -> list[re.Pattern[str]]:
+def _templates(templates: str) -> list[SentenceTemplate]:
     return compile_templates(templates, {})

@@ -16,7 +16,7 @@ from typing import Literal
 from edge.mission.language.errands.areas import AREA, JOINT
 from edge.mission.language.words.everyday_words import NAME, phrase_of
 from edge.mission.language.words.lexicon import TABLE
-from edge.mission.language.words.templates import compile_templates
+from edge.mission.language.words.templates import SentenceTemplate, compile_templates
 from edge.mission.language.words.tokens import UnclearError, unclear
 
 Outcome = Literal["found", "failed"]
@@ -182,12 +182,12 @@ _SEARCHES = re.compile(
 
 
 @cache
-def _conditions() -> list[tuple[re.Pattern[str], Outcome, bool | None]]:
+def _conditions() -> list[tuple[SentenceTemplate, Outcome, bool | None]]:
     return [
-        (pattern, outcome, is_object)
+        (template, outcome, is_object)
         for outcome, rows in _TEMPLATES.items()
         for is_object, lines in rows.items()
-        for pattern in compile_templates(lines, _PARTS)
+        for template in compile_templates(lines, _PARTS)
     ]
 
 
@@ -333,8 +333,8 @@ def _condition_at(text: str, begin: int) -> _Match | None:
     """Return the longest condition that begins at an offset; None if none does."""
     best: tuple[re.Match[str], Outcome, bool | None] | None = None
     spaced = f" {text[begin:]}"
-    for pattern, outcome, is_object in _conditions():
-        match = pattern.match(spaced)
+    for template, outcome, is_object in _conditions():
+        match = template.match(spaced)
         if match is None or re.match(r" not\b", spaced[match.end() :]):  # "if you do not mind"
             continue
         if best is None or match.end() > best[0].end():

@@ -56,7 +56,7 @@ from edge.mission.language.words.places import (
     mark_places,
     restore_places,
 )
-from edge.mission.language.words.rewriting import Change, go_to, rewrite_outside_quotes
+from edge.mission.language.words.rewriting import Change, Pattern, go_to, rewrite_outside_quotes
 from edge.mission.language.words.spans import number_of, seconds_of, shown_s
 from edge.mission.language.words.templates import compile_templates
 from edge.mission.language.words.tokens import unclear
@@ -97,13 +97,13 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
 
 
 @cache
-def _rules() -> list[tuple[list[re.Pattern[str]], Change]]:
+def _rules() -> list[tuple[list[Pattern], Change]]:
     """Return the patterns of each rule and the function that replaces a match.
 
     The order matters: each rule sees the text of the rules before it, and none changes what is in
-    quotes already. The templates are compiled at the first call, which takes 0.2 s.
+    quotes already.
     """
-    rules: tuple[tuple[str | list[re.Pattern[str]], Change], ...] = (
+    rules: tuple[tuple[str | list[Pattern], Change], ...] = (
         ([patterns.ANOTHER], _rewrite_another),
         ([patterns.COUNTED], _rewrite_counted),
         ([patterns.HINTED], _rewrite_hinted),

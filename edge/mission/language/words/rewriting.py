@@ -7,12 +7,14 @@ from collections.abc import Callable, Sequence
 from typing import Union
 
 from edge.mission.language.words.places import is_marked
+from edge.mission.language.words.templates import SentenceTemplate
 
+Pattern = Union[re.Pattern[str], SentenceTemplate]
 Change = Callable[[re.Match[str]], Union[str, None]]
 """Function that returns the replacement of a match; None keeps the match."""
 
 
-def rewrite_outside_quotes(pattern: re.Pattern[str], change: Change, text: str) -> str:
+def rewrite_outside_quotes(pattern: Pattern, change: Change, text: str) -> str:
     """Replace the matches of a pattern outside quotes."""
 
     def replace(found: re.Match[str]) -> str:

@@ -18,7 +18,8 @@ The modules `intents`, `errands` and `remarks` compile them to regular expressio
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, lru_cache
 
 from edge.mission.language.words.everyday_words import EACH_ROOM, MARK, NAME, PLAIN_NAME, phrase_of
 from edge.mission.language.words.spans import COUNT, DURATION
@@ -83,10 +84,87 @@ def pattern(template: str, parts: Mapping[str, str]) -> str:
     return re.sub(r"\)\?\*", ")*", "".join(pieces))  # "[a]*" gave "(?: a)?*"
 
 
-def compile_templates(templates: str, parts: Mapping[str, str]) -> list[re.Pattern[str]]:
-    """Return the patterns of several templates, in their order.
+class SentenceTemplate:
+    """A sentence template that compiles its regular expression when it is needed.
 
-    A pattern matches at a space before its first word, up to the end of a word.
+    There are about 600, and most texts lack a word of nearly all of them. So the words are compared
+    first; to compile all takes more than a second.
+    """
+
+    def __init__(self, template: str, parts: Mapping[str, str]) -> None:
+        self._template, self._parts = template, parts
+        self._needed = _needed_words(template, parts)
+
+    @cached_property
+    def _regex(self) -> re.Pattern[str]:
+        return re.compile(pattern(self._template, self._parts) + END, re.I)
+
+    def _may_fit(self, text: str) -> bool:
+        return not any(words.isdisjoint(_words_of(text)) for words in self._needed)
+
+    def match(self, text: str) -> re.Match[str] | None:
+        """Match at the start of a text."""
+        return self._regex.match(text) if self._may_fit(text) else None
+
+    def fullmatch(self, text: str) -> re.Match[str] | None:
+        """Match an entire text."""
+        return self._regex.fullmatch(text) if self._may_fit(text) else None
+
+    def sub(self, replace: Callable[[re.Match[str]], str], text: str) -> str:
+        """Replace all matches in a text."""
+        return self._regex.sub(replace, text) if self._may_fit(text) else text
+
+
+@lru_cache(maxsize=16)
+def _words_of(text: str) -> frozenset[str]:
+    return frozenset(re.findall(r"[^ ,.;!?]+", text.lower()))
+
+
+def _needed_words(template: str, parts: Mapping[str, str]) -> list[frozenset[str]]:
+    """Return sets of words, one for each word or choice of a template that no text may leave out.
+
+    A text that fits has a word of each set.
+
+    >>> [sorted(words) for words in _needed_words("where (is|are) <object> [now]", {})]
+    [['where'], ['are', 'is']]
+    """
+    tokens = [*_TOKEN.finditer(template)]
+    needed, at = _needed_in_group(tokens, 0, parts)
+    assert at == len(tokens), template
+    return needed
+
+
+def _needed_in_group(
+    tokens: Sequence[re.Match[str]], at: int, parts: Mapping[str, str]
+) -> tuple[list[frozenset[str]], int]:
+    """Return the needed words of a choice that begins at a token, and the index of its end."""
+    choices: list[list[frozenset[str]]] = [[]]
+    while at < len(tokens) and tokens[at]["mark"] not in (")", "]"):
+        token = tokens[at]
+        needed: list[frozenset[str]] = []
+        if token["mark"] in ("(", "["):
+            needed, at = _needed_in_group(tokens, at + 1, parts)
+            repeated = at + 1 < len(tokens) and tokens[at + 1]["mark"] == "*"
+            if token["mark"] == "[" or repeated:
+                needed = []
+        elif token["mark"] == "|":
+            choices.append([])
+        elif token["part"]:
+            needed = _needed_words(parts[token["part"]], parts)
+        elif token["word"]:
+            needed = [frozenset([token["word"].lower()])]
+        choices[-1] += needed
+        at += 1
+    if len(choices) > 1:
+        shortest = [min(needed, key=len, default=None) for needed in choices]
+        choices = [[] if None in shortest else [frozenset().union(*shortest)]]
+    return choices[0], at
+
+
+def compile_templates(templates: str, parts: Mapping[str, str]) -> list[SentenceTemplate]:
+    """Return several templates, in their order.
+
+    A template matches at a space before its first word, up to the end of a word.
 
     Args:
         templates: one template for each line; a line with 12 spaces or more before it continues the
@@ -99,12 +177,12 @@ def compile_templates(templates: str, parts: Mapping[str, str]) -> list[re.Patte
             lines[-1] += f" {line.strip()}"
         else:
             lines.append(line.strip())
-    return [re.compile(pattern(line, parts) + END, re.I) for line in lines]
+    return [SentenceTemplate(line, parts) for line in lines]
 
 
-def first_match(patterns: list[re.Pattern[str]], text: str) -> dict[str, str] | None:
-    """Return the slots of the first pattern that fits the entire text; None if none does."""
-    for candidate in patterns:
-        if found := candidate.fullmatch(f" {text}"):
+def first_match(templates: list[SentenceTemplate], text: str) -> dict[str, str] | None:
+    """Return the slots of the first template that fits the entire text; None if none does."""
+    for template in templates:
+        if found := template.fullmatch(f" {text}"):
             return {slot: name for slot, name in found.groupdict().items() if name is not None}
     return None

@@ -1,0 +1,48 @@
+"""Tests of `edge.mission.language.words.templates`: texts that fit a sentence template."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from edge.mission.language.words.templates import compile_templates, first_match, pattern
+
+PARTS = {"go": "(go|drive) [on]", "may": "[please|now]*", "any": "(go|[fast])", "both": "a|b c"}
+
+
+@pytest.mark.parametrize(
+    ("template", "fits", "fails"),
+    [
+        ("stop", ["stop", "STOP"], ["", "stops", "go"]),
+        ("where (is|are) <object>", ["where is the mug", "Where ARE my keys"], ["where the mug"]),
+        ("{go} home", ["go home", "drive on home"], ["home", "run home"]),
+        ("{may} stop {may}", ["stop", "please now stop now"], ["please"]),
+        ("(very)* good", ["good", "very very good"], ["very"]),
+        ("{any} home", ["home", "go home", "fast home"], ["slow home"]),
+        ("{both} d", ["a d", "b c d"], ["b d", "a b c d"]),
+        ("go , now", ["go now", "go, now"], ["go,now"]),
+        ("wait ...", ["wait", "wait a little"], ["wait then stop"]),
+        ("a|b c", ["a", "b c"], ["c"]),
+    ],
+)
+def test_a_template_fits_a_text(template, fits, fails):
+    (compiled,) = compile_templates(template, PARTS)
+    regex = re.compile(pattern(template, PARTS), re.I)
+    for text in (*fits, *fails):
+        assert (compiled.fullmatch(f" {text}") is not None) is (text in fits), text
+        assert (regex.fullmatch(f" {text}") is not None) is (text in fits), text
+
+
+def test_templates_match_and_replace_inside_a_text():
+    (template,) = compile_templates("go (home|back)", {})
+    assert template.match(" go back, then stop") and not template.match(" now go back")
+    assert template.sub(lambda found: " stop", " run, go home. Go back!") == " run, stop. stop!"
+    assert template.sub(lambda found: " stop", " go away") == " go away"
+
+
+def test_the_first_template_that_fits_gives_the_slots():
+    templates = compile_templates("find <object>\n    find <object> [now]\nfind", {})
+    assert first_match(templates, "find the mug") == {"object": "the mug"}
+    assert first_match(templates, "find") == {}
+    assert first_match(templates, "stop") is None
