@@ -35,7 +35,7 @@ from edge.host.stop_latch import RETRY_S, StopLatch
 from edge.live.agent_view import AgentView
 from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.requests.agent_requests import agent_handlers
-from edge.loop.requests.handlers import mission_verbs, request_handlers
+from edge.loop.requests.handlers import prepare_new, request_handlers
 from edge.loop.result import Sink
 from edge.loop.runner import RunningService
 from edge.loop.scoring.scorers import make_scorers
@@ -208,8 +208,9 @@ def open_service(
 
         handlers = request_handlers(service, prepare, problems)
         if config.mcp is not None:
-            prepare_new = mission_verbs(prepare)["new"].prepare
-            handlers |= agent_handlers(service, config.mcp, prepare_new, view.picture)
+            handlers |= agent_handlers(
+                service, config.mcp, partial(prepare_new, prepare), view.picture
+            )
         for key, (verbs, handle) in handlers.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)

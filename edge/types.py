@@ -242,8 +242,9 @@ class Instance:
 
 # "spin": no candidate is left; the robot turns on the spot, goes to a viewpoint for a better look,
 # or stands still. "trajectory": a task's goal, which moves ahead of the robot on its trajectory, or
-# turns it on the spot. "place": a named place that the mission goes to.
-CandidateKind = Literal["frontier", "instance", "spin", "trajectory", "place"]
+# turns it on the spot. "place": a named place that the mission goes to. "zone_exit": a
+# place outside the zone that the robot is in.
+CandidateKind = Literal["frontier", "instance", "spin", "trajectory", "place", "zone_exit"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +257,7 @@ class Goal:
             reachable cell, and the heading faces the candidate.
         kind: Kind of candidate that the goal is for.
         candidate_id: Id of the frontier, instance or spin candidate; 0 if the goal is for none, as
-            with goals of kind `trajectory` and with turns and views after the last candidate.
+            with other kinds of goals, and with turns and views after the last candidate.
         candidate_xy_m: Position of the candidate; the position of `pose` if there is none.
         score: Score of the candidate; 0 if there is none.
         target: Active target of the mission.

@@ -7,7 +7,7 @@ The service reads the clock (`time.perf_counter_ns`) and passes the values:
     mapper.update(observation);   ring.mark(MAP, clock())
     ring.end_tick(clock())
 
-Background stages (the detector's worker) call `span` from their own thread.
+Background stages (the detector's worker) measure themselves; the loop calls `span` with the result.
 """
 
 from __future__ import annotations
@@ -211,9 +211,9 @@ class LatencyHistograms:
 class LatencyRing:
     """The spans of the last `capacity` ticks, and of as many runs of each background stage.
 
-    One thread runs the ticks. Other threads may call `report`, `histograms`, and `span` for
-    background stages. A tick enters the ring at once, in `end_tick`, so a report never sees half
-    a tick.
+    One thread runs the ticks and calls `span` for background stages. Other threads may call
+    `report` and `histograms`. A tick enters the ring at once, in `end_tick`, so a report never
+    sees half a tick.
 
     Args:
         capacity: Number of ticks to keep.

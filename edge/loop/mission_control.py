@@ -91,7 +91,10 @@ class MissionControl:
 
     def end_pause(self, now_ns: int) -> None:
         """Resume the mission if its pause is over; called between ticks, as requests are."""
-        if self._resume_ns is not None and now_ns >= self._resume_ns:
+        if self._resume_ns is None or now_ns < self._resume_ns:
+            return
+        self._resume_ns = None
+        if not self.mission.done:
             self.pause(False, now_ns)
 
     def confirm(self, now_ns: int) -> None:
@@ -118,8 +121,7 @@ class MissionControl:
         self._input_log.note("stop", reason=reason, now_ns=now_ns)
         self.stopped = self.mission.stopped = reason
         if reason:
-            # Send a goal to stand still in any case: a controller may have one of another service.
-            self._goals.client.driving = True
+            self._goals.client.demand_hold()
             text = f"stopped: {reason}; no goal is sent until `edge release`"
             self._event(text, now_ns, logging.WARNING)
         else:

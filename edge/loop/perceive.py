@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import perf_counter_ns
 
 import numpy as np
@@ -28,12 +27,12 @@ class PerceptionStages:
 
     Args:
         worker: Runs the detector in the background; `submit` and `poll` never wait for the model.
-        on_detections: Gets new detections, without suppressed ones.
-
     Attributes:
         images: Number of images of each camera that the detector has processed, as of this tick.
         policy: Scores the candidates; may be replaced.
         scorers: Models that are queried in the background; None if none is configured.
+        detections: New detections of this tick, without suppressed ones; None if there are none.
+            Their frame is held until `release`.
         scores: (n,) float32, the policy's scores of the candidates.
     """
 
@@ -46,15 +45,14 @@ class PerceptionStages:
         scorers: Scorers | None,
         latency: LatencyRing,
         input_log: InputLog,
-        on_detections: Callable[[Detections], None],
     ) -> None:
         self._lockstep, self._n_cameras = config.loop.lockstep, len(config.sensors.cameras)
         self.policy, self.scorers = policy, scorers
         self._map, self._latency = semantic_map, latency
-        self._input_log, self._on_detections = input_log, on_detections
+        self._input_log = input_log
         self.worker = input_log.wrap(DETECTOR, worker)
         self.images, self.scores = 0, np.zeros(0, np.float32)
-        self._detections: Detections | None = None  # of this tick
+        self.detections: Detections | None = None
         self._changed_cells = NOTHING_CHANGED
         self._newest_seq = -1
         # Newest observation before the last pose jump: boxes up to it are in the old frame.
@@ -81,20 +79,18 @@ class PerceptionStages:
 
         The depth and pose of the boxes' own image are used, not those of this tick.
         """
-        self._detections, detections = None, self.worker.poll()
+        self.release()
+        detections = self.worker.poll()
         if detections is not None:
-            try:
-                is_in_old_frame = detections.observation.seq <= self._last_seq_before_jump
-                if not is_in_old_frame and detections.prompts == mission.spec.prompts:
-                    self._latency.span(DETECT, detections.latency_ns)
-                    if self.scorers is not None:
-                        self.scorers.on_detections(detections, self._map.grid.values)
-                    self._map.on_detections(detections)
-                    self._detections = detections.without_suppressed()
-                    self._on_detections(self._detections)
-            finally:
-                # Only this tick reads the arrays, so the frame can be reused.
-                detections.observation.release()
+            self.detections = detections.without_suppressed()
+            is_in_old_frame = detections.observation.seq <= self._last_seq_before_jump
+            if is_in_old_frame or detections.prompts != mission.spec.prompts:
+                self.release()
+            else:
+                self._latency.span(DETECT, detections.latency_ns)
+                if self.scorers is not None:
+                    self.scorers.on_detections(detections, self._map.grid.values)
+                self._map.on_detections(detections)
         done = self.worker.stats.done
         self.images = done // self._n_cameras
         self._input_log.note("images", done=done)
@@ -123,7 +119,7 @@ class PerceptionStages:
             self._map.view,
             self._changed_cells,
             self._map.pool.read_only,
-            self._detections,
+            self.detections,
             ScorerOutputs() if self.scorers is None else self.scorers.answers,
             mission.spec.prompts,
             mission.spec.prompt_for(mission.target),
@@ -136,9 +132,15 @@ class PerceptionStages:
 
     def begin_mission(self) -> None:
         """Drop detections, answers and open questions, which were for the last mission."""
-        self._detections = None
+        self.release()
         if self.scorers is not None:
             self.scorers.discard_pending()
+
+    def release(self) -> None:
+        """Forget the tick's detections; their frame can be reused."""
+        if self.detections is not None:
+            self.detections.observation.release()
+            self.detections = None
 
     def on_pose_jump(self) -> None:
         """Drop answers and open questions, and detections in images up to the newest one.

@@ -55,7 +55,6 @@ class ResultPublisher:
         goals: Goals since the last result; bounded.
         goal_statuses: Goal statuses since the last result; bounded.
         events: Events since the last result; bounded.
-        detections: New detections. Their frame is held until the result is published.
         proposals: Returns the proposals of agents that wait for a person, at a loop time; set by
             `edge.loop.requests.agent_requests`.
     """
@@ -74,7 +73,6 @@ class ResultPublisher:
         self.goals: deque[Goal] = deque(maxlen=_MAX_EVENTS)
         self.goal_statuses: deque[GoalStatus] = deque(maxlen=_MAX_EVENTS)
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
-        self.detections: Detections | None = None
         self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
         self._sinks, self._map, self._site = sinks, semantic_map, site
         self._goal_tracker, self._scorers = goals, scorers
@@ -88,6 +86,7 @@ class ResultPublisher:
         pose: SE2 | None,
         mission: MissionRun,
         task: Callable[[], TaskStatus | None],
+        detections: Detections | None,
         scores: np.ndarray,
     ) -> TickResult:
         """Return the current state, and all events since the last published result.
@@ -99,6 +98,7 @@ class ResultPublisher:
             pose: Newest pose in `map`; None before the first.
             mission: The mission.
             task: Returns the facts of a task; see `TickResult.task`.
+            detections: New detections of this tick.
             scores: The policy's scores of the candidates.
         """
         semantic_map, grid, goals = self._map, self._map.grid, self._goal_tracker
@@ -118,7 +118,7 @@ class ResultPublisher:
             goal_statuses=tuple(self.goal_statuses),
             events=tuple(self.events),
             inputs=tuple(self._input_log.pending),
-            detections=self.detections,
+            detections=detections,
             mission=cache(partial(mission_facts, mission)),
             task=cache(task),
             instances=cache(
@@ -145,12 +145,6 @@ class ResultPublisher:
             parts=self._parts,
         )
 
-    def on_detections(self, detections: Detections) -> None:
-        """Keep new detections and hold their frame for the next result."""
-        self.release_detections()
-        detections.observation.hold()
-        self.detections = detections
-
     def publish(self, result: TickResult, boundary: ErrorBoundary) -> None:
         """Publish the result to every sink. An error of a sink does not affect the others.
 
@@ -161,12 +155,6 @@ class ResultPublisher:
         for sink in self._sinks:
             with boundary.contain(f"{type(sink).__name__}.tick", result.now_ns):
                 sink.tick(result)
-
-    def release_detections(self) -> None:
-        """Release the frame of the detections, so that it can be reused."""
-        if self.detections is not None:
-            self.detections.observation.release()
-            self.detections = None
 
 
 def _objects(semantic_map: SemanticMap, stamp_ns: int) -> list[KnownObject]:

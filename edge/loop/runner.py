@@ -137,22 +137,24 @@ def _lockstep(running: RunningService, stop: threading.Event) -> Iterator[None]:
 
     Of two cameras, one may be late: its stamps then do not set the clock.
     """
-    observed_s, now_ns, stamp_ns, clock = math.inf, 0, 0, 0  # `clock`: the camera that sets it
+    now_ns, stamp_ns, clock_camera = 0, 0, 0
+    observed_s, mission = math.inf, running.service.mission
     while not stop.is_set():
         observation = _read_inputs(running, now_ns) if _has_message(running, now_ns) else None
         if observation is not None:
             observed_s = time.monotonic()
             passed_ns = observation.stamp_ns - stamp_ns
             now_ns = _advanced(now_ns, passed_ns)
-            if passed_ns >= 0 or observation.camera_index == clock:
-                stamp_ns, clock = observation.stamp_ns, observation.camera_index
+            if passed_ns >= 0 or observation.camera_index == clock_camera:
+                stamp_ns, clock_camera = observation.stamp_ns, observation.camera_index
         running.now_ns = now_ns
         _serve_requests(running, now_ns)
+        if running.service.mission is not mission:  # a new mission has its own time
+            mission, observed_s = running.service.mission, max(observed_s, time.monotonic())
+        limit_s = running.service.config.mission.time_limit_s
         if observation is not None:
             _tick(running, observation, now_ns)
-        elif time.monotonic() - observed_s > (
-            limit_s := running.service.config.mission.time_limit_s
-        ):
+        elif not mission.done and time.monotonic() - observed_s > limit_s:
             running.service.control.fail(f"no observation for {limit_s:g} s", now_ns)
             _idle(running, now_ns)
         yield
@@ -185,11 +187,10 @@ def _read_inputs(running: RunningService, now_ns: int) -> Observation | None:
     """
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
-    for answer in (
-        service.error_boundary.call("goal_status", now_ns, running.source.inbox.poll) or ()
-    ):
-        with service.error_boundary.contain("goal answer", now_ns):
-            service.on_goal_status(answer)
+    poll = running.source.inbox.poll
+    for status in service.error_boundary.call("goal statuses", now_ns, poll) or ():
+        with service.error_boundary.contain("goal status", now_ns):
+            service.on_goal_status(status)
     failed = service.error_boundary.failed
     observation = service.error_boundary.call("source", now_ns, running.source.poll)
     if service.error_boundary.failed > failed:

@@ -43,9 +43,13 @@ class SemanticMap:
         config: Current configuration; set by `reconfigure`.
         grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.
         view: The part of the grid that policies see.
+        objects: All objects that were seen.
         tracker: Instances: the objects that were detected as a target.
         described: Finds the instances of targets that a relation describes.
         crops: Pictures of the objects in `objects`.
+        pool: Candidates for goals.
+        rooms: Rooms of the map, with names and objects.
+        room_surveyor: Finds the rooms in the background.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).
     """

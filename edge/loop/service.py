@@ -76,6 +76,11 @@ class Service:
             of one kind.
 
     Attributes:
+        config: The configuration.
+        checkpoint: As in `Args`.
+        map: Map, objects, rooms and candidates.
+        latency: Duration of each stage in each tick.
+        plausibility: Decides if observations may be used.
         site: Places and zones that people gave.
         control: Holds the running mission, and carries out requests of people about it.
         behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
@@ -158,9 +163,8 @@ class Service:
             self.parts_status.status,
         )  # fmt: skip
         self.perception = PerceptionStages(
-            config, self.map, worker, policy, scorers, self.latency, input_log,
-            self.publisher.on_detections,
-        )  # fmt: skip
+            config, self.map, worker, policy, scorers, self.latency, input_log
+        )
         self._zone_exit = ZoneExit(self.goals, self.event)
         self.pose: SE2 | None = None
         self._last_tick_ns = 0  # loop time of the last complete tick of the first camera
@@ -169,9 +173,7 @@ class Service:
             checkpoint.resume(self.mission)
         if idle:
             self.mission.set_idle()
-            # A controller may still have a goal from a previous service. With `driving` set, the
-            # service sends it a goal to stand still.
-            self.goals.client.driving = True
+            self.goals.client.demand_hold()  # a controller may have a goal of a previous service
         saved, content = None, None
         if checkpoint is not None:
             saved, content = checkpoint.saved, checkpoint.map.loaded
@@ -206,16 +208,15 @@ class Service:
         if not self.refused:
             self.stamp_ns = observation.stamp_ns
             self.perception.detect(observation)
-            self.stage = MAP
-            if self.checkpoint is not None:
-                self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
+        self.stage = MAP
+        if not self.refused and self.checkpoint is not None:
+            self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
         if use != "none":
-            self.stage = MAP
             update = self.perception.map(observation, now_ns)
             if update is not None:
                 self.plausibility.on_mapped(update)
-            if update is not None and update.rolled:
-                self.perception.policy.reset("map rolled")
+                if update.rolled:
+                    self.perception.policy.reset("map rolled")
             self._end_stage(MAP)
         if self.refused:
             return self.goals.goal
@@ -273,6 +274,7 @@ class Service:
         with self.error_boundary.contain("restore", last_pose.now_ns):
             parts = MapParts(self.map, self.goals.chooser, self.perception.policy)
             restore(parts, grid, loaded, last_pose, resumed)
+        with self.error_boundary.contain("restore pictures", last_pose.now_ns):
             checkpoint.crops.restore(self.map.crops)
         if resumed:
             self.mission.sets.mark_stale_before(self.map.tracker.newest_id)
@@ -320,7 +322,7 @@ class Service:
                     self.checkpoint.save_if_due(self.mission, self.status, parts, last_pose, now_ns)
             self.publisher.publish(self.result(now_ns, observation), self.error_boundary)
         finally:
-            self.publisher.release_detections()
+            self.perception.release()
 
     # -- requests and events from outside -----------------------------------------------------
 
@@ -400,21 +402,24 @@ class Service:
         """
         blind_ns = 1e9 * self.plausibility.blind_s
         blind = self.pose is not None and now_ns - self._last_tick_ns > blind_ns
-        if blind and pose is not None:
-            self.pose = pose
-        self._input_log.note("idle", now_ns=now_ns, pose=pose if blind else None)
+        if self.pose is not None and not blind:
+            pose = None  # that of the newest observation is good enough
+        self._input_log.note("idle", now_ns=now_ns, pose=pose)
+        hold_at = self.pose if pose is None else pose
+        if blind:
+            self.pose = hold_at
         try:
             if self.mission.meter.running or dropped is not None:
                 self.mission.observe(self.pose, now_ns, self.behaviour.searching and not blind)
             self.mission.check_limits(now_ns)
         finally:  # also if the mission raises
-            if self.pose is not None and (blind or not self.mission.active):
+            if hold_at is not None and (blind or not self.mission.active):
                 if self.goals.client.driving:
                     if self.mission.active:
                         why = self.plausibility.why("stand")
                         why = f"{why}: " if why else ""
                         self.event(f"no usable observations: {why}standing still", now_ns)
-                    self.goals.hold_position(self.mission, self.pose, now_ns)
+                    self.goals.hold_position(self.mission, hold_at, now_ns)
                 self.goals.chooser.abandon()
             self._report(dropped, now_ns)
 
@@ -426,13 +431,13 @@ class Service:
         """
         self._input_log.note("jump", now_ns=now_ns)
         self.event("pose jumped: the map and the objects were cleared", now_ns)
-        if not self.config.source.localised and self.site.known.items:
-            self.event(
-                "pose jumped: places and zones were removed: they were in the old map frame", now_ns
-            )
+        if not self.config.source.localised:
             self.site.start = None
-            self.site.change(Site())
-            self.map.set_site(self.site.site)
+            if self.site.site.items:
+                text = "pose jumped: places and zones were removed: they were in the old map frame"
+                self.event(text, now_ns)
+                self.site.change(Site())
+                self.map.set_site(self.site.site)
         self.map.on_pose_jump()
         self.perception.policy.reset("pose")
         self.mission.sets.distance_m = None
@@ -474,7 +479,7 @@ class Service:
         """Return the current state, and all events since the last published result."""
         return self.publisher.result(
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
-            self.perception.scores,
+            self.perception.detections, self.perception.scores,
         )  # fmt: skip
 
 

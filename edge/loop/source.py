@@ -12,9 +12,10 @@ from typing import Any, Literal, Protocol
 from edge.geometry import SE2
 from edge.types import GoalStatus, Observation
 
-NO_DROPS = ("received", "observations", "old_pose", "overrun")
+NO_DROPS = ("received", "observations", "old_pose", "overrun", "pose_jump", "clock_reset")
 """Counters of a source that are not reasons for drops: messages received, observations returned,
-observations whose pose is older than they are, and reads that found a message ring full."""
+observations whose pose is older than they are, reads that found a message ring full, and messages
+that began a new frame or a new clock."""
 
 
 InputState = Literal["ok", "missing", "silent", "dropped", "unused"]

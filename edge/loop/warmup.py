@@ -10,7 +10,8 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from time import perf_counter
 
@@ -66,6 +67,7 @@ from edge.types import Detections, Instance, Observation
 log = logging.getLogger("edge.loop.warmup")
 
 _REPORT_AFTER_S = 3.0  # a longer step is logged
+_HELPER_S = 300.0  # longest wait for the helper at each of its steps
 _WALL_M = 3.0  # distance of the wall in the synthetic image
 _CAMERA_M = 0.6  # height of the camera
 _CAMERA, _T_BASE_CAMERA = CameraModel.from_hfov(48, 40, 1.6), to_optical(se3(z_m=_CAMERA_M))
@@ -80,12 +82,8 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
         Duration in seconds.
     """
     # A helper process compiles these while this process compiles the others, and then reads them
-    # from the cache. The helper runs `main`, so both lists must agree.
-    shared: dict[str, Callable[[], object]] = {
-        "perception": lambda: warm_perception((config.perception.back_projection,)),
-        "planner": lambda: warm_planner(planner_weights(config)),
-        "messages": warm_messages,
-    }
+    # from the cache.
+    shared = _shared_steps(config.perception.back_projection, planner_weights(config))
     steps: dict[str, Callable[[], object]] = {
         "mapping": lambda: warm_mapping(config.mapping),
         "rooms": lambda: warm_rooms(config),
@@ -94,19 +92,29 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
         "tasks": warm_tasks,
     }
     started = perf_counter()
-    helper = _start_helper(config) if _must_compile() else None
-    for i, (name, step) in enumerate(steps.items(), start=1):
-        before = perf_counter()
-        what = f"preparing kernels {i}/{len(steps)}: {name}"
-        log.info(what)
-        progress(what)
-        if helper is not None and name in shared:
-            helper.wait()
-        step()
-        if perf_counter() - before > _REPORT_AFTER_S:
-            log.info("compiled %s kernels in %.0f s; the next start finds them in the cache",
-                     name, perf_counter() - before)  # fmt: skip
+    with _helper(config) if _must_compile() else nullcontext() as helper:
+        for i, (name, step) in enumerate(steps.items(), start=1):
+            before = perf_counter()
+            what = f"preparing kernels {i}/{len(steps)}: {name}"
+            log.info(what)
+            progress(what)
+            if helper is not None and name in shared:
+                with suppress(subprocess.TimeoutExpired):
+                    helper.wait(_HELPER_S)
+            step()
+            if perf_counter() - before > _REPORT_AFTER_S:
+                log.info("compiled %s kernels in %.0f s; the next start finds them in the cache",
+                         name, perf_counter() - before)  # fmt: skip
     return perf_counter() - started
+
+
+def _shared_steps(back_projection: str, weights: str) -> dict[str, Callable[[], object]]:
+    """Return the steps of perception, planner and messages, which the helper does, too."""
+    return {
+        "perception": lambda: warm_perception((back_projection,)),
+        "planner": lambda: warm_planner(weights),
+        "messages": warm_messages,
+    }
 
 
 def planner_weights(config: Config) -> str:
@@ -124,22 +132,27 @@ def _must_compile() -> bool:
     return bool(kernel.stats.cache_misses)
 
 
-def _start_helper(config: Config) -> subprocess.Popen[bytes]:
-    """Start the helper process. If it fails, this process compiles everything."""
+@contextmanager
+def _helper(config: Config) -> Iterator[subprocess.Popen[bytes]]:
+    """Run the helper process. If it fails, this process compiles everything."""
     command = (
         *python_module("edge.loop.warmup"),
         config.perception.back_projection,
         planner_weights(config),
     )
     null = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=null, stdout=null, stderr=null)
+    helper = subprocess.Popen(command, stdin=null, stdout=null, stderr=null)
+    try:
+        yield helper
+    finally:
+        helper.kill()
+        helper.wait()
 
 
 def main(back_projection: str, weights: str) -> None:
-    """Run as the helper: compile the kernels of perception, planner and messages into the cache."""
-    warm_perception((back_projection,))
-    warm_planner(weights)
-    warm_messages()
+    """Run as the helper: compile the kernels of the shared steps into the cache."""
+    for step in _shared_steps(back_projection, weights).values():
+        step()
 
 
 def _depth_m() -> np.ndarray:

@@ -85,14 +85,27 @@ class ValueMap:
         self.cell_m = window.resolution_m * 2**self._cell_bits
         self._layers, self._window = layers, window
         self._range_m, self._beta = range_m, beta
-        self.targets: tuple[str, ...] = ()
         m = self._cells = window.n >> self._cell_bits
-        self.value = np.zeros((m, m, 0), np.uint16)
-        self.weight = np.zeros((m, m, 0), np.uint16)
+        # Targets, values and weights. Another thread takes all three, so they are replaced at once.
+        none = np.zeros((m, m, 0), np.uint16)
+        self._channels: tuple[tuple[str, ...], np.ndarray, np.ndarray] = (), none, none
         side = 2 * math.ceil(range_m / self.cell_m) + 4
         # Results of `seen_cells`.
         self._seen_cells = np.zeros((side * side, 2), np.int32)
         self._seen_bearings = np.zeros(side * side, np.float32)
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The target of each channel."""
+        return self._channels[0]
+
+    @property
+    def value(self) -> np.ndarray:
+        return self._channels[1]
+
+    @property
+    def weight(self) -> np.ndarray:
+        return self._channels[2]
 
     def set_targets(self, targets: Sequence[str]) -> None:
         """Make one channel per target, in this order; targets that stay keep their values."""
@@ -105,7 +118,7 @@ class ValueMap:
                 old = self.targets.index(target)
                 value[..., channel] = self.value[..., old]
                 weight[..., channel] = self.weight[..., old]
-        self.targets, self.value, self.weight = tuple(targets), value, weight
+        self._channels = tuple(targets), value, weight
         self._window.written[:] = True
 
     @property
@@ -235,11 +248,10 @@ class ValueMap:
         """
 
         def plane() -> np.ndarray:
-            # A mission that begins on another thread replaces all three: take them once.
-            targets, value, weight = self.targets, self.value, self.weight
-            channel = targets.index(target) if target in targets else self.value.shape[2]
-            if channel >= min(value.shape[2], weight.shape[2]):
+            targets, value, weight = self._channels
+            if target not in targets:
                 return np.zeros(value.shape[:2], np.uint8)
+            channel = targets.index(target)
             shown = np.uint8(1) + (value[..., channel] // np.uint16(258)).astype(np.uint8)
             return np.where(weight[..., channel] > 0, shown, np.uint8(0))
 

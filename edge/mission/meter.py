@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from edge.geometry import SE2
 
-_JUMP_M = 1.0  # a longer step of the pose between two calls is no driving
+# A longer or faster step of the pose between two calls is no driving.
+_JUMP_M, _JUMP_MPS = 1.0, 4.0
 
 
 class MissionMeter:
@@ -57,7 +58,8 @@ class MissionMeter:
             self._last_pose = pose
         if target is None:
             return
-        step_m = step_m if step_m < _JUMP_M else 0.0
+        if step_m >= max(_JUMP_M, _JUMP_MPS * passed_s):
+            step_m = 0.0
         self.elapsed_s += passed_s
         self.path_m += step_m
         if exempt:

@@ -61,7 +61,7 @@ class Candidates:
     def read_only(self) -> Candidates:
         """Return a view of the same arrays that cannot be written.
 
-        The counts `n` and `stamp_ns` are copied: the owner makes a new view when they change.
+        The counts `n` and `stamp_ns` are copied: the owner sets them in the view, too.
         """
         shown = copy(self)
         for name, value in vars(self).items():

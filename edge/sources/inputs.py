@@ -27,8 +27,8 @@ from edge.sources.streams import Stream
 SILENT_S = 1.0
 """An input is silent after this time, or after three periods if that is longer."""
 _WINDOW_NS = 2_000_000_000  # for measuring rates
-_NO_FAULT = ("superseded", "pose_jump", "clock_reset")
-"""Reasons that are no fault: a newer message was used instead, or this message was used."""
+_NO_FAULT = ("superseded",)
+"""Reasons that are no fault: a newer message was used instead."""
 
 
 @dataclass(slots=True, eq=False)

@@ -62,11 +62,15 @@ REASONS = (
     "no_camera_info",
     "no_transform",  # missing in tf
     "pool_exhausted",  # all slots of the pool are in use
-    "pose_jump",  # no drop: the pose was used, and those before it were forgotten
-    "clock_reset",  # no drop: earlier stamps than before are accepted again
     "overrun",  # messages came faster than they were read
     "distorted",  # camera info with a distortion that cannot be used
 )
+
+# Counted, but no drop: the message is used.
+_BREAKS = {
+    "pose_jump": "the pose jumped: those before it are forgotten",
+    "clock_reset": "the clock was reset: earlier stamps than before are accepted again",
+}
 
 _LIMITS = {
     "oversized": "source.max_message_mb",
@@ -149,7 +153,7 @@ class _Dropped(NamedTuple):
     """The reason why a leading frame becomes no observation.
 
     Attributes:
-        reason: one of `REASONS`.
+        reason: one of `REASONS` or `_BREAKS`.
         why: more about the reason, in one line.
     """
 
@@ -192,7 +196,7 @@ class TimeSynchronizer:
         if first is None:
             self.odometry = _make_odometry(config, wait_ns)
             totals = ("received", "observations", "old_pose")
-            self.counters: dict[str, int] = dict.fromkeys((*totals, *REASONS), 0)
+            self.counters: dict[str, int] = dict.fromkeys((*totals, *REASONS, *_BREAKS), 0)
             self.inputs = InputTable(config, self.streams, clock)
             self._turns = [self]
             if len(config.sensors.cameras) > 1:
@@ -217,16 +221,17 @@ class TimeSynchronizer:
         self.inputs.on_message(topic)
 
     def count(self, topic: str, reason: str, detail: object = "") -> None:
-        """Count a drop; log the first of its kind."""
+        """Count a drop, a jump of the pose or a reset of the clock; log the first of its kind."""
         self.counters[reason] += 1
         limit = f"the limit is {_LIMITS[reason]}" if reason in _LIMITS else ""
         detail = ", ".join(filter(None, (one_line(detail), limit)))
-        self.inputs.on_dropped(topic, reason, detail)
+        if reason not in _BREAKS:
+            self.inputs.on_dropped(topic, reason, detail)
         if reason != "superseded" and (topic, reason) not in self._logged:
             self._logged.add((topic, reason))
+            what = _BREAKS.get(reason, f"message dropped: {reason}")
             shown = f"({detail}) " if detail else ""
-            log.warning("%s: message dropped: %s %s(further ones are only counted)", topic, reason,
-                        shown)  # fmt: skip
+            log.warning("%s: %s %s(further ones are only counted)", topic, what, shown)
 
     def _count_old(self, leader: SensorFrame, joined: _Joined) -> None:
         """Count an observation with an old pose or mount; log the first of its kind."""

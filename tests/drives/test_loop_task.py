@@ -20,10 +20,11 @@ from edge.loop.monitoring.metrics import SERVICE_METRICS
 from edge.loop.requests.handlers import handle_mission, mission_verbs
 from edge.loop.service import Service
 from edge.loop.status import status_message
+from edge.memory import Site, Zone
 from edge.policies import make_policy
 from edge.tasks.mission_spec import prepare_mission
 from edge.tasks.sentences.object_phrases import AmbiguousObjectError
-from edge.types import Instance
+from edge.types import GoalStatus, Instance
 
 STRAIGHT = "go straight for 2 metres"
 TO_THE_OVEN = "go to the oven"
@@ -269,6 +270,20 @@ def test_the_robot_drives_around_an_obstacle_on_the_trajectory():
 def by_model(server: ChatServer, **planner: object) -> ClosedLoop:
     planner = {"kind": "model", "url": server.url, **planner}
     return closed("Drive a little way.", tasks={"planner": planner})
+
+
+def test_a_failed_goal_out_of_a_zone_is_no_failure_of_the_trajectory():
+    loop = until(closed(), "driving")
+    service, pose = loop.service, loop.drive.motion.pose
+    corners = [(pose.x_m + a, pose.y_m + b) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    rug = Zone("rug", "keep_out", tuple(corners))
+    service.change_site(Site((rug,)), loop.drive.motion.stamp_ns)
+    for _ in range(3):
+        loop.step()
+        goal = service.goals.goal
+        assert goal.kind == "zone_exit"
+        service.on_goal_status(GoalStatus(goal.stamp_ns, "failed", "by the test"))
+    assert not any("by the test" in event for event in loop.notes.events)
 
 
 def test_a_model_writes_once_the_robot_has_turned_round():

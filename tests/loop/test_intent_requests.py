@@ -167,6 +167,12 @@ def test_a_timed_wait_is_a_pause_that_ends(loop):
     service.control.end_pause(120 * 10**9)
     assert not service.mission.paused
     say(loop, "Wait ten seconds.")
+    service.control.cancel("by the test", 0)
+    events = len(loop.notes.events)
+    service.control.end_pause(11 * 10**9)
+    assert loop.notes.events[events:] == []
+    service.begin(service.mission.spec, 0)
+    say(loop, "Wait ten seconds.")
     say(loop, "Stop!")
     service.control.end_pause(11 * 10**9)
     assert service.mission.paused

@@ -14,7 +14,7 @@ from edge.loop.goals.known_goals import (
     SAME_POINT_M,
     goal_at_place,
     goal_at_point,
-    goal_on_trajectory,
+    goal_at_pose,
     scores_towards,
 )
 from edge.types import Goal
@@ -83,11 +83,13 @@ def test_the_goal_at_a_point_stays_near_a_new_point(shift_m, keep, target, stays
     [(1.0, 0.0, True), (1.01, 0.0, False), (1.2, 0.3, True), (1.4, 0.3, False)],
 )
 def test_the_goal_on_a_trajectory_moves_in_steps(x_m, apart_m, stays):
-    goal = goal_on_trajectory(None, SE2(1.0, 0.0, 0.0), "oven", 7, 0.0)
+    goal = goal_at_pose(None, "trajectory", SE2(1.0, 0.0, 0.0), "oven", 7, 0.0)
     assert goal.kind == "trajectory"
-    assert (goal_on_trajectory(goal, SE2(x_m, 0.0, 0.0), "oven", 8, apart_m) is goal) == stays
+    assert (
+        goal_at_pose(goal, "trajectory", SE2(x_m, 0.0, 0.0), "oven", 8, apart_m) is goal
+    ) == stays
     spin = Goal(7, goal.pose, "spin", 0, (1.0, 0.0), 0.0, "oven")
-    assert goal_on_trajectory(spin, goal.pose, "oven", 8, apart_m) is not spin
+    assert goal_at_pose(spin, "trajectory", goal.pose, "oven", 8, apart_m) is not spin
 
 
 def test_the_frontier_on_the_way_to_a_point_scores_highest():

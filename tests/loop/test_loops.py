@@ -119,6 +119,23 @@ def test_once_ends_though_nothing_is_to_be_seen_any_more(lockstep, frames):
     assert "0.5 s" in status.reason
 
 
+def test_in_lockstep_a_new_mission_has_its_own_time_to_wait_for_an_observation():
+    run, stop, failed_s = running(True, 1, time_limit_s=0.3), threading.Event(), []
+
+    def each() -> None:
+        if run.service.mission.done:
+            failed_s.append(time.monotonic())
+            if len(failed_s) == 1:
+                run.service.begin(run.service.mission.spec, run.now_ns)
+            elif len(failed_s) == 4:
+                stop.set()
+
+    loop(run, stop, each=each)
+    assert failed_s[1] - failed_s[0] > 0.3
+    kinds = [record.kind for record in run.service._input_log.pending]
+    assert kinds.count("fail") <= 1
+
+
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_once_waits_for_sensors_that_have_not_spoken_yet(lockstep):
     run, stop = running(lockstep, 0, time_limit_s=0.05), threading.Event()
@@ -343,11 +360,11 @@ def ticks(run: RunningService) -> int:
 @pytest.mark.parametrize(
     ("lockstep", "part", "method", "step"),
     [
-        (False, "source.inbox", "poll", "goal_status"),
+        (False, "source.inbox", "poll", "goal statuses"),
         (False, "source", "poll", "source"),
         (False, "mission/request", "serve", "mission/request"),
         (False, "service", "idle", "idle"),
-        (True, "source.inbox", "poll", "goal_status"),
+        (True, "source.inbox", "poll", "goal statuses"),
         (True, "source", "wait", "wait"),
         (True, "source", "poll", "source"),
         (True, "mission/request", "serve", "mission/request"),

@@ -216,6 +216,18 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
     assert loop.service.goals.goal is None
 
 
+@pytest.mark.parametrize("pose", [None, SE2(1.0, 0.0, 0.0)])
+def test_a_stop_before_the_first_image_holds_the_robot_at_the_pose_of_odometry(pose):
+    """A controller may still drive to a goal of the service before."""
+    loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
+    loop.service.control.stop("button", START_NS)
+    for i in range(3):
+        loop.service.idle(START_NS + i * TICK_NS, pose)
+    goals = loop.notes.goals
+    assert [(goal.kind, goal.pose) for goal in goals] == ([] if pose is None else [("spin", pose)])
+    assert loop.service.pose is None
+
+
 @pytest.mark.parametrize("blind", [False, True])
 def test_a_stop_withdraws_the_goal_until_its_release(blind):
     loop = driving(time_limit_s=60.0)

@@ -112,6 +112,7 @@ def test_an_empty_step_is_taken_if_the_formula_needs_one():
     [
         ({"time_limit_s": 10}, [(0, 0.0), (11, 0.1)], "time limit of 10 s"),
         ({"path_limit_m": 3}, [(i, 0.4 * i) for i in range(9)], "path limit of 3 m"),
+        ({"path_limit_m": 3}, [(i, 1.5 * i) for i in range(4)], "path limit of 3 m"),
         (
             {"search_limit_s": 5},
             [(i, 0.0) for i in range(20)],

@@ -376,6 +376,7 @@ def test_an_exhausted_pool_is_counted_and_recovers():
 def test_a_pose_jump_raises_the_epoch():
     robot = Robot().info().odom(1000, 0.0).odom(2000, 50.0)
     assert robot.drops == {"pose_jump": 1}
+    assert not any(row.dropped for row in robot.synchronizer.inputs.rows())
     assert robot.synchronizer.odometry.epoch == 1
     assert robot.frame(1500).wait().poll() is None
     assert robot.drops == {"pose_jump": 1, "stale": 1}

@@ -30,6 +30,7 @@ GOAL_STYLES = {
     "instance": (palette.TARGET, "*", 190),
     "spin": (palette.MUTED, "o", 28),
     "place": (palette.TARGET, "s", 100),
+    "zone_exit": (palette.MUTED, "s", 60),
 }
 
 

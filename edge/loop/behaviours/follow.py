@@ -39,7 +39,7 @@ from edge.loop.behaviours.plan_worker import (
 from edge.loop.behaviours.search import newest_ids
 from edge.loop.behaviours.stop_verification import StopVerification
 from edge.loop.goals.goal import GoalTracker
-from edge.loop.goals.known_goals import goal_on_trajectory
+from edge.loop.goals.known_goals import goal_at_pose
 from edge.loop.input_log import InputLog
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
@@ -47,7 +47,7 @@ from edge.policies.base import PolicyInput
 from edge.tasks.facts import StepState, StepStatus, TaskPhase, TaskStatus
 from edge.tasks.scene.pipeline import GroundKinds
 from edge.text import one_line
-from edge.types import Detections, Goal, Instance, Observation
+from edge.types import Detections, Goal, GoalStatus, Instance, Observation
 
 RETRY_NS = 2_000_000_000
 """Period of new tries to write a trajectory that was not possible with the objects seen so far."""
@@ -140,8 +140,10 @@ class FollowBehaviour:
         mission.on_detections(seen, now_ns, keep=self.phase != "looking")
         if not (goals.follows(mission) and mission.active):
             return
+        leaves_zone = goals.goal is not None and goals.goal.kind == "zone_exit"
         stuck = goals.check_progress(self._map.grid, context.pose, mission, images, now_ns)
-        self._advance(context, stuck)
+        status = None if leaves_zone else goals.goal_status
+        self._advance(context, stuck and not leaves_zone, status, images)
         if goals.chooser.exhausted and self.waits_for_target:
             mission.abandon_target(goals.chooser.failure_reason(mission, self._map.grid), now_ns)
 
@@ -159,20 +161,20 @@ class FollowBehaviour:
                 return None
             pose, apart_m = turn, 0.0
         target = self._mission.target
-        return chooser.drive_to(goal_on_trajectory(goals.goal, pose, target, now_ns, apart_m))
+        goal = goal_at_pose(goals.goal, "trajectory", pose, target, now_ns, apart_m)
+        return chooser.drive_to(goal)
 
-    def _advance(self, context: PolicyInput, stuck: bool) -> None:
-        """Do what the current phase needs in this tick."""
+    def _advance(
+        self, context: PolicyInput, stuck: bool, status: GoalStatus | None, images: int
+    ) -> None:
+        """Do what the current phase needs in this tick; see `GoalTracker` for the arguments."""
         # Phases: looking (for objects), writing, driving, verifying (the objects of a stop).
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns
-        answer = self._goals.goal_status
-        turn_ended = stuck or (answer is not None and answer.state in ("reached", "failed"))
+        turn_ended = stuck or (status is not None and status.state in ("reached", "failed"))
         self._worker.name_ground(observation, now_ns)
         if detections is not None:
             self._worker.add_detections(detections)
-            if self._stop is not None:
-                self._stop.on_image()
         if (answered := self._worker.poll()) is not None:
             self._on_plan(*answered, now_ns)
         if self.phase == "looking" and not self.waits_for_target and not self._mission.done:
@@ -191,9 +193,9 @@ class FollowBehaviour:
             elif detections is not None:  # with the image of the boxes
                 self._request_plan(detections.observation, detections)
         elif self.phase == "driving":
-            self._check_drive(observation, stuck, now_ns)
+            self._check_drive(observation, stuck, status, now_ns)
         elif self.phase == "verifying" and not self._mission.done:
-            self._verify(pose, turn_ended, now_ns)
+            self._verify(pose, turn_ended, images, now_ns)
 
     def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
         self._config = config
@@ -314,11 +316,13 @@ class FollowBehaviour:
             after = f"{self._abandon_reason}; no new trajectory: " if self._abandon_reason else ""
             _fail(self._mission, f"{after}{result.error}", now_ns)
 
-    def _check_drive(self, observation: Observation, stuck: bool, now_ns: int) -> None:
+    def _check_drive(
+        self, observation: Observation, stuck: bool, status: GoalStatus | None, now_ns: int
+    ) -> None:
         """React if the robot has arrived, is blocked, or has an obstacle ahead."""
-        drive, goal, answer = self._drive, self._goals.goal, self._goals.goal_status
+        drive, goal = self._drive, self._goals.goal
         assert drive is not None
-        pose, state = observation.pose, None if answer is None else answer.state
+        pose, state = observation.pose, None if status is None else status.state
         if (driven := drive.n_steps_driven) > self._mission.progress.state:
             self._mission.on_task_steps_driven(driven, now_ns)
         why = ""  # the trajectory must change
@@ -332,8 +336,8 @@ class FollowBehaviour:
                 self._on_stop(now_ns)
         elif stuck or state == "failed":
             why = "the robot is blocked"
-            if answer is not None and not stuck:
-                why = f"the controller failed: {answer.reason}"
+            if status is not None and not stuck:
+                why = f"the controller failed: {status.reason}"
             before, self._blocked_at = self._blocked_at, pose
             if before is not None and pose.distance_to(before.x_m, before.y_m) < SAME_PLACE_M:
                 self._write_again(why, now_ns)
@@ -351,15 +355,15 @@ class FollowBehaviour:
             self._continue(now_ns)
             return
         log, objects = partial(_log, self._mission), self._drive.stop_objects
-        self._stop = StopVerification(objects, self._map.tracker, log, now_ns)
+        self._stop = StopVerification(objects, self._map.tracker, log)
         self.phase = "verifying"
 
-    def _verify(self, pose: SE2, turn_ended: bool, now_ns: int) -> None:
+    def _verify(self, pose: SE2, turn_ended: bool, images: int, now_ns: int) -> None:
         """Verify the objects of the stop; search for another one if one is rejected."""
         drive = self._drive
         assert self._stop is not None
         assert drive is not None
-        result = self._stop.step(pose, turn_ended, self._config, now_ns)
+        result = self._stop.step(pose, turn_ended, images, self._config, now_ns)
         if result == "rejected":
             self._restart()
             self._goals.begin_target(self._mission)

@@ -1,11 +1,10 @@
-"""Pursuits: one class for each kind of target says how the robot goes there and when it is done.
+"""Pursuits: the way to one kind of target, and the rule that says when the robot is done.
 
 `SearchBehaviour` makes a pursuit for each active target and calls it in each tick. A target is an
 *object*, such as "chair", or a destination: a place, an exploration, a wait, a check, a room
 (`room_pursuits`) or a tour of rooms (`tours`).
 
-`PURSUITS` in `search` has one class for each kind of destination. Another kind needs a class and a
-line there.
+`PURSUITS` in `search` has a class, or a function that chooses one, for each kind of destination.
 """
 
 from __future__ import annotations

@@ -29,24 +29,22 @@ class StopVerification:
         objects: Iterable[tuple[int, str]],
         tracker: InstanceTracker,
         log: Callable[[str, int], None],
-        now_ns: int,
     ) -> None:
         self._objects, self._tracker, self._log = list(objects), tracker, log
         self._verified: set[int] = set()
         self.turn: SE2 | None = None
-        self._images, self._since_ns = 0, now_ns  # since the robot looks at the first object
-
-    def on_image(self) -> None:
-        """Count an image that the detector has processed."""
-        self._images += 1
+        # Images and loop time when the robot began to look at the first object; None: not yet.
+        self._since: tuple[int, int] | None = None
 
     def step(
-        self, pose: SE2, turn_ended: bool, config: Config, now_ns: int
+        self, pose: SE2, turn_ended: bool, images: int, config: Config, now_ns: int
     ) -> Literal["", "verified", "rejected"]:
         """Verify the next object; return the result of the stop, "" while it lasts.
 
-        An object that is too far away to verify is accepted.
+        An object that is too far away to verify is accepted. `images` is the number of images that
+        the detector has processed so far.
         """
+        images_before, since_ns = self._since = self._since or (images, now_ns)
         (number, label), perception = self._objects[0], config.perception
         near = [
             one
@@ -64,13 +62,13 @@ class StopVerification:
             self._log(text, now_ns)
         if is_away or found is not None:
             self._verified.add(number if found is None else found.id)
-            self.turn, self._since_ns, self._images = None, now_ns, 0
+            self.turn, self._since = None, None
             self._objects.pop(0)
             return "" if self._objects else "verified"
-        looked_s = (now_ns - self._since_ns) * 1e-9
+        looked_s = (now_ns - since_ns) * 1e-9
         if near and not self._faces(near[0], pose, turn_ended):
-            self._since_ns, self._images = now_ns, 0
-        elif self._images >= MIN_IMAGES and looked_s > config.mission.verify_s:
+            self._since = None
+        elif images - images_before >= MIN_IMAGES and looked_s > config.mission.verify_s:
             if near:  # the object may have got another id
                 number = near[0].id
             self._tracker.reject(number)

@@ -116,8 +116,7 @@ class TriedPlaces:
     """
 
     def __init__(self, semantic_map: SemanticMap) -> None:
-        self._tracker = semantic_map.tracker
-        self._near_m = semantic_map.config.perception.confirm_range_m
+        self._map = semantic_map
         self._goal: Goal | None = None  # of the tick before
         self._tried_m: list[tuple[float, float]] = []
 
@@ -128,8 +127,9 @@ class TriedPlaces:
             return
         if goal is not None and goal.candidate_id == last.candidate_id:
             return
-        instance = self._tracker.get(last.candidate_id)
-        is_near = pose.distance_to(*last.candidate_xy_m) <= self._near_m
+        instance = self._map.tracker.get(last.candidate_id)
+        near_m = self._map.config.perception.confirm_range_m
+        is_near = pose.distance_to(*last.candidate_xy_m) <= near_m
         if is_near and (instance is None or not instance.is_confirmed):
             self._tried_m.append(last.candidate_xy_m)
 

@@ -142,7 +142,6 @@ class ServiceCheckpoint:
         )  # fmt: skip
         return {
             "path": str(writer.path), "written": writer.written, "failed": writer.failed,
-            "places_written": map_checkpoint.writer.written,  # the map's file
             "problem": next(filter(None, problems), ""),
         }  # fmt: skip
 

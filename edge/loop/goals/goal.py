@@ -110,9 +110,9 @@ class GoalTracker:
 
     def hold_position(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Make the robot stand still, with a goal at its own pose that is not tracked."""
-        self.chooser.tracked = None
-        self.client.send(free_goal(pose, now_ns, mission.target), now_ns)
-        self.client.driving, self._grace_ns = False, GRACE_NS
+        self.chooser.abandon()
+        self.client.hold(free_goal(pose, now_ns, mission.target), now_ns)
+        self._grace_ns = GRACE_NS
 
     def on_goal_status(self, status: GoalStatus) -> None:
         """Handle a goal status of the controller, which may be for an old goal."""
@@ -184,7 +184,8 @@ class GoalTracker:
         verdict = None
         if tracked is None or instance is None:
             # A trajectory or a place is known from the start, so nothing is searched for.
-            has_path_goal = tracked is not None and tracked.goal.kind in ("trajectory", "place")
+            known = ("trajectory", "place", "zone_exit")
+            has_path_goal = tracked is not None and tracked.goal.kind in known
             self.phase = "approaching" if has_path_goal else "searching"
         elif verdict := self._judge(
             tracked, instance, pose, now_ns, images, is_reached or self._tracker.verified_now
@@ -281,7 +282,7 @@ class GoalTracker:
     def _check_drive(self, tracked: TrackedGoal, pose: SE2, now_ns: int, images: int) -> None:
         """Handle the controller's status of a goal for a frontier, a turn or a viewpoint."""
         goal, status = tracked.goal, tracked.status
-        if goal.kind == "trajectory":
+        if goal.kind in ("trajectory", "zone_exit"):
             return
         state = None if status is None else status.state
         if tracked.view is not None:
@@ -343,7 +344,7 @@ class GoalTracker:
 
     def forget_mission(self) -> None:
         """Forget everything about the last mission."""
-        self._warned_ids = set()
+        self._warned_ids, self._reported = set(), None
         self._n_retargets = -1
         self.chooser.forget_mission()
 

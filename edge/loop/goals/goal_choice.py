@@ -146,7 +146,7 @@ class GoalChooser:
             return
         if tracked is not None and tracked.goal.kind == "place":
             self.place_failures += 1
-        elif tracked is not None and tracked.goal.kind != "trajectory":
+        elif tracked is not None and tracked.goal.kind in _KINDS:
             self._discard_candidate(tracked.goal, now_ns)
         self.abandon()
 
@@ -289,14 +289,17 @@ class GoalChooser:
     def _best_candidate(
         self, tracked: TrackedGoal | None, context: PolicyInput, score: np.ndarray
     ) -> TrackedGoal | None:
-        """Return a goal for the best candidate: the current goal, if it is still valid."""
+        """Return a goal for the best candidate: the current goal, if it is still valid.
+
+        If that was at a frontier and is given up, the place of the frontier is noted.
+        """
         c, policy, search, current = context.candidates, self.config.policy, self.search, None
         min_distance_m, first = policy.delta_reached_m, policy.confirmed_first
         order = rank_candidates(c, score, context.pose, min_distance_m, first)
         if search.exhausted:
             lasting = c.first_seen_ns[order] <= c.stamp_ns - LASTING_NS
             order = order[lasting | (c.kind[order] == INSTANCE)]
-        if tracked is not None:
+        if tracked is not None and tracked.goal.kind in _KINDS:
             often_left = partial(search.often_left, tracked.goal.candidate_xy_m)
             current = CurrentGoal(tracked.goal, tracked.peak, often_left)
         # Near enough to have reached it.

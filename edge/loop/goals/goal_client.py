@@ -66,6 +66,15 @@ class GoalClient:
         self._arrival.reset()
         self._transmit(goal)
 
+    def hold(self, goal: Goal, now_ns: int) -> None:
+        """Send a goal at the robot's own pose, which is finished at once."""
+        self.send(goal, now_ns)
+        self.driving = False
+
+    def demand_hold(self) -> None:
+        """Have a goal to stand still sent: the controller may have one of another service."""
+        self.driving = True
+
     def with_sent_stamp(self, status: GoalStatus) -> GoalStatus:
         """Return the status with the exact stamp of its goal.
 

@@ -12,7 +12,7 @@ import numpy as np
 from edge.geometry import SE2
 from edge.mapping.grid import RollingMap
 from edge.policies.base import PolicyInput
-from edge.types import Goal
+from edge.types import CandidateKind, Goal
 
 AT_PLACE_M = 0.5
 """Largest distance of a goal from its place: if the place is blocked, the goal is next to it."""
@@ -76,26 +76,27 @@ def goal_at_point(
     return Goal(context.now_ns, SE2(x_m, y_m, yaw_rad), "place", 0, (at[0], at[1]), 1.0, target)
 
 
-def goal_on_trajectory(
-    goal: Goal | None, pose: SE2, target: str, now_ns: int, apart_m: float
+def goal_at_pose(
+    goal: Goal | None, kind: CandidateKind, pose: SE2, target: str, now_ns: int, apart_m: float
 ) -> Goal:
-    """Return a task's goal.
+    """Return a goal of a task, or one outside a zone.
 
     Args:
         goal: Current goal.
+        kind: Kind of the wanted goal.
         pose: Wanted pose.
         target: Target of the mission.
         now_ns: Loop time.
-        apart_m: The current goal of the task is kept while it is at most this far from `pose`.
+        apart_m: The current goal of this kind is kept while it is at most this far from `pose`.
             0: it is kept only if it equals `pose`.
     """
     if (
         goal is None
-        or goal.kind != "trajectory"
+        or goal.kind != kind
         or goal.pose.distance_to(pose.x_m, pose.y_m) > apart_m
         or (not apart_m and goal.pose != pose)
     ):
-        goal = Goal(now_ns, pose, "trajectory", 0, (pose.x_m, pose.y_m), 0.0, target)
+        goal = Goal(now_ns, pose, kind, 0, (pose.x_m, pose.y_m), 0.0, target)
     return goal
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from edge.geometry import SE2
 from edge.loop.goals.goal import GoalTracker
-from edge.loop.goals.known_goals import goal_on_trajectory
+from edge.loop.goals.known_goals import goal_at_pose
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
@@ -34,25 +34,23 @@ class ZoneExit:
 
     def goal(self, grid: RollingMap, mission: MissionRun, context: PolicyInput) -> Goal | None:
         """Return a goal outside the zone that the robot is in, or None if it is in none."""
-        pose = context.pose
-        inside = grid.zones.any and grid.zones.contains(pose.x_m, pose.y_m)
+        robot, now_ns = context.pose, context.now_ns
+        inside = grid.zones.any and grid.zones.contains(robot.x_m, robot.y_m)
         if inside != self._in_zone:
             self._in_zone = inside
             text = "inside a zone: leaving it by the shortest way" if inside else "left the zone"
-            self._event(text, context.now_ns, logging.WARNING if inside else logging.INFO)
+            self._event(text, now_ns, logging.WARNING if inside else logging.INFO)
         if not inside:
             return None
         for radius_m in _EXIT_M:
             # The nearest free cell, then a free cell `_BEYOND_M` farther, if there is one.
-            if (cell := grid.travel_cost.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
-                yaw_rad = math.atan2(cell[1] - pose.y_m, cell[0] - pose.x_m)
+            if (cell := grid.travel_cost.nearest(robot.x_m, robot.y_m, radius_m)) is not None:
+                yaw_rad = math.atan2(cell[1] - robot.y_m, cell[0] - robot.x_m)
                 beyond_m = SE2(*cell[:2], yaw_rad).ahead(_BEYOND_M)
                 x_m, y_m, _ = grid.travel_cost.nearest(*beyond_m, _BEYOND_RADIUS_M) or cell
                 # Keep the goal while the robot drives to it, although the nearest cell changes.
                 apart_m = 0.0 if self._goals.arrived else _EXIT_M[0]
-                exit_pose, goals = SE2(x_m, y_m, yaw_rad), self._goals
-                goal = goal_on_trajectory(
-                    goals.goal, exit_pose, mission.target, context.now_ns, apart_m
-                )
-                return goals.chooser.drive_to(goal)
+                pose, before = SE2(x_m, y_m, yaw_rad), self._goals.goal
+                goal = goal_at_pose(before, "zone_exit", pose, mission.target, now_ns, apart_m)
+                return self._goals.chooser.drive_to(goal)
         return None

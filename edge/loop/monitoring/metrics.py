@@ -34,10 +34,10 @@ from edge.loop.status import detector_health
 from edge.perception.detection.process import ProcessDetector
 from edge.perception.runtime.health import MODEL_STATES
 from edge.tasks.facts import StepState
-from edge.types import MissionPhase
+from edge.types import CandidateKind, MissionPhase
 
 _STEP_STATES = get_args(StepState)
-_GOALS = ("none", "frontier", "instance", "spin", "trajectory", "place")
+_GOALS = ("none", *get_args(CandidateKind))
 _S_PER_MS = 1e-3
 
 

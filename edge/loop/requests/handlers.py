@@ -108,20 +108,11 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
     it is; the answer has `text`. An instruction like "pause" is the request with that verb.
     """
 
-    def prepare_new(fields: dict) -> object:
-        """Return the mission; for a question or an order to learn, return that instead."""
-        try:
-            return prepare(**{name: fields[name] for name in _PREPARED_FIELDS if name in fields})
-        except NoMissionError as error:
-            if isinstance(error.intent, Control):
-                raise
-            return error.intent
-
     return {
         "new": Verb(
             (*_INSTRUCTION_FIELDS, "reading", "from_pose", "rounds", "for_s", "id", "if_free"),
             _check_new,
-            prepare_new,
+            partial(prepare_new, prepare),
             # The instruction "stop" becomes a request with another verb.
             instead=_as_control if in_words else lambda fields: None,
         ),
@@ -132,6 +123,16 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
         "again": Verb(),
         "status": Verb(read_only=True),
     }
+
+
+def prepare_new(prepare: Callable[..., object], fields: dict) -> object:
+    """Prepare a new mission; for a question or an order to learn, return that instead."""
+    try:
+        return prepare(**{name: fields[name] for name in _PREPARED_FIELDS if name in fields})
+    except NoMissionError as error:
+        if isinstance(error.intent, Control):
+            raise
+        return error.intent
 
 
 _INSTRUCTION_FIELDS = ("instruction", "formula", "task")

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -114,7 +114,15 @@ class InstanceFusion:
             if strong:
                 hit[track.instance.id] = i
                 self._count_good_hit(track, points, score, seen.observation, stamp_ns)
-        left = [tracker.tracks[i] for i in hit if i in tracker.tracks]  # others were rejected
+        self._note_gaps(hit, boxes)
+        for instance_id in hit:
+            self._merge_overlapping(instance_id)
+        tracker.limit()
+
+    def _note_gaps(self, hit: Mapping[int, int], boxes: BackProjectedBoxes) -> None:
+        """Note the pairs of objects between whose boxes an image shows a gap."""
+        tracks = self._tracker.tracks
+        left = [tracks[i] for i in hit if i in tracks]  # others were rejected
         for track, other in combinations(left, 2):
             one, two = track.instance, other.instance
             if track.name == other.name and _are_apart(boxes, hit[one.id], hit[two.id]):
@@ -122,9 +130,6 @@ class InstanceFusion:
                 self._seen_apart[pair] += 1
                 if self._seen_apart[pair] >= APART_IMAGES:
                     one.apart, two.apart = one.apart | {two.id}, two.apart | {one.id}
-        for instance_id in hit:
-            self._merge_overlapping(instance_id)
-        tracker.limit()
 
     def expire(self, observation: Observation, prompts: Sequence[str]) -> list[int]:
         """Lower the score of instances that this observation should show and does not.
