@@ -1,7 +1,7 @@
 """Preparation of every mission before it runs: a task in words, or a target or formula.
 
-An instruction that no mission can mean, but that describes a path ("turn left", "go past the right
-of the sofa"), becomes a task.
+An instruction becomes a task if it describes a path that no mission can mean ("turn left", "go past
+the right of the sofa"), or that passes an object ("go past the sofa and stop at the bed").
 """
 
 from __future__ import annotations
@@ -39,6 +39,9 @@ _MORE_THAN_A_PATH = re.compile(
     r"\b(?:all|every|each|both|another|other|any|some|people|wait)\b", re.I
 )
 
+# A mission would end at the object.
+_PASSES = re.compile(r"\b(?:past|passing)\b", re.I)
+
 
 def prepare_mission(
     config: Config, task: str | None = None, site: Site = _NO_SITE, **mission: Any
@@ -56,46 +59,56 @@ def prepare_mission(
     """
     if task is not None:
         return prepare_task(config, task)
+    instruction = mission.get("instruction")
+    if instruction is None:
+        instruction = config.mission.instruction
+    only_words = not any(mission.get(name) for name in ("formula", "reading", "repeat"))
+    is_english = not isinstance(config.mission.translator, TranslatorLtl)
+    if instruction is None or not only_words or not is_english:
+        return prepare(config.mission, site=site, **mission)
+    path_error = None
+    try:
+        is_path = _is_path(instruction, site)
+    except TranslationError as error:
+        is_path, path_error = False, error
+    if is_path and _PASSES.search(instruction):
+        return prepare_task(config, instruction)
     try:
         return prepare(config.mission, site=site, **mission)
     except (AmbiguousInstructionError, NoMissionError):
         raise
     except TranslationError as error:
-        instruction = mission.get("instruction")
-        if instruction is None:
-            instruction = config.mission.instruction
-        only_words = not any(mission.get(name) for name in ("formula", "reading", "repeat"))
-        is_english = not isinstance(config.mission.translator, TranslatorLtl)
-        if instruction is None or not only_words or not is_english:
-            raise
-        _check_path(instruction, site, error)
-        return prepare_task(config, instruction)
+        if is_path:
+            return prepare_task(config, instruction)
+        rest = instruction[max(error.position - 1, 0) :] or instruction.rpartition(" ")[2]
+        # The mission's parser stopped at a word about paths ("go left"), the path's farther on.
+        if (
+            path_error is not None
+            and path_error.position >= error.position
+            and not isinstance(error, UnclearError)
+            and begins_with_path_word(rest)
+        ):
+            raise path_error from None
+        raise
 
 
-def _check_path(instruction: str, site: Site, error: TranslationError) -> None:
-    """Check that an instruction describes a path past known objects, by its grammar alone.
+def _is_path(instruction: str, site: Site) -> bool:
+    """Return True if an instruction describes a path past known objects, by its grammar alone.
 
     A task searches for one object of each name, so a place or a room is none.
 
     Raises:
-        TranslationError: it does not. It is `error`, the reason why this is no mission, or the
-            fault of the path if the mission's parser stopped at a word about paths ("go left").
+        TranslationError: the grammar of paths does not understand it.
     """
-    try:
-        is_path, objects = describes_path(instruction), named_objects(instruction)
-    except TranslationError as path_error:
-        rest = instruction[max(error.position - 1, 0) :] or instruction.rpartition(" ")[2]
-        further = path_error.position >= error.position and not isinstance(error, UnclearError)
-        raise (path_error if further and begins_with_path_word(rest) else error) from None
+    is_path, objects = describes_path(instruction), named_objects(instruction)
     named = [item.name for item in (*site.places, *site.room_names)]
-    if (
-        not is_path
-        or _MORE_THAN_A_PATH.search(instruction)
-        or quote_places(instruction, named) != instruction
-        or any(nouns.unknown_in(words) is not None for words in noun_phrases(instruction))
-        or not all(names.is_known(name) for name in objects)
-    ):
-        raise error
+    return (
+        is_path
+        and not _MORE_THAN_A_PATH.search(instruction)
+        and quote_places(instruction, named) == instruction
+        and all(nouns.unknown_in(words) is None for words in noun_phrases(instruction))
+        and all(names.is_known(name) for name in objects)
+    )
 
 
 def prepare_task(config: Config, task: str) -> MissionSpec:

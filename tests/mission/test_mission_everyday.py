@@ -105,6 +105,7 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Why did you stop?", MemoryQuestion("doing")),
         ("Did you find it?", MemoryQuestion("doing")),
         ("How much longer?", MemoryQuestion("doing")),
+        ("When will you be back?", MemoryQuestion("doing")),
         ("What can you do?", MemoryQuestion("help")),
         ("Which rooms have a sink?", MemoryQuestion("where", "sink")),
         ("How many beds are in room 12?", MemoryQuestion("count", "beds", "room 12")),

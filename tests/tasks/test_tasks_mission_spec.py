@@ -76,6 +76,9 @@ def test_without_a_task_a_mission_is_prepared():
         ("please stop 2 m before the sofa", ["stop 2 m before the sofa"]),
         ("circle around the sofa", ["circle around the sofa"]),
         ("go past the right of the bench", ["go past the right of the bench"]),
+        ("drive past the bed and stop at the sofa", ["drive past the bed", "stop at the sofa"]),
+        ("go past the bed", ["go past the bed"]),
+        ("go past the kitchen to the bed", None),
         ("go to the bed", None),
     ],
 )

@@ -54,6 +54,10 @@ SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look) [around|round|in|at|
             inside|through]* <room> for <object>
     (search|look) {whole} for <object>
+    {goes} (search|look (in|into|through)) <stops> for <object>
+    (look|search) for <object> in <stops>
+    [keep [on]] {goes} ((explore|exploring|searching|look|looking) [around]|{look}) [{whole}|<room>]
+            until you [can|have]* (find|found|see|seen|spot|discover) <object>
     {goes} (check|(look|search) [in|into|inside|through]) <each> [and look|and search] for <object>
     (look|search) for <object> in <each>
     find <own> in <each>
@@ -252,6 +256,14 @@ _NUMBERED = re.compile(
     re.I,
 )
 FIRST_REWRITES = (
+    # "in ten minutes, go to the hall, and after one minute come back"
+    (re.compile(rf"(?P<joint>^|,? and(?: then)?|,? then|[,;.])(?P<when> after|(?<=^) in)"
+                rf" (?P<span>{DURATION}),?(?= (?:go|come|drive|head|return|find|look|visit|check|"
+                r"explore|patrol|search)\b)", re.I),
+     lambda found: f"{', then' if found['joint'] else ''} wait {found['span']}, then"),
+    # "the room where the tv is"
+    (re.compile(rf"\b(room) (?:where|in which) (?P<anchor>{NAME}) (?:is|are|stands)\b", re.I),
+     r"\1 with \g<anchor>"),
     # "look around the house, every room"
     (re.compile(r"\b(house|home|flat|apartment|building|place), (?:every|each) (?:single )?room\b",
                 re.I), r"\1"),
@@ -376,7 +388,7 @@ GONE_TO = re.compile(
 COUNTED = re.compile(
     r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then)) )(?:(?:go|drive|head|move|run|roll)(?: over)? to|"
     rf"{phrase_of('find')}|find|go find|visit|reach|see|go and see)"
-    r"(?: all)?(?: the| my| our)?(?: any)? "
+    r"(?: all)?(?: the| my| our)?(?: any| at least)? "
     rf"(?P<count>{COUNT}|both|all|each|every(?: single)?)(?: of)?(?: the| my| these| those| our)?"
     rf"(?: (?:different|separate|distinct))? (?P<object>{PLAIN_NAME})"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME}))?"

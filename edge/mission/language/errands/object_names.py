@@ -120,7 +120,8 @@ def quote_related(found: re.Match[str]) -> str | None:
         or (is_room(bare(noun)) and relation in ("by", "near", "at"))
     ):
         return None
-    if slots.get("relation") and TABLE.get((words[-1].lower(),)) in ("verb", "do"):
+    is_verb = TABLE.get((words[-1].lower(),)) in ("verb", "do")
+    if slots.get("relation") and is_verb and not (articled and len(words) == 2):  # "my watch"
         return None
     other = slots.get("other") if relation == "between" else None
     where = relation_text(relation, found["anchor"], other)

@@ -58,7 +58,7 @@ from edge.mission.language.words.places import (
 )
 from edge.mission.language.words.rewriting import Change, Pattern, go_to, rewrite_outside_quotes
 from edge.mission.language.words.spans import number_of, seconds_of, shown_s
-from edge.mission.language.words.templates import compile_templates
+from edge.mission.language.words.templates import STOP, compile_templates
 from edge.mission.language.words.tokens import unclear
 
 
@@ -275,6 +275,8 @@ def _rewrite_search(found: re.Match[str]) -> str | None:
     """Return "search the kitchen for a mug" as the order to find the mug in the kitchen."""
     slots = found.groupdict()
     room, each, name = slots.get("room"), slots.get("each"), slots.get("object") or slots["own"]
+    if slots.get("stops"):  # "search the bedroom and the bathroom for my keys"
+        return _rewrite_search_in_rooms(slots["stops"], name)
     if room and each_kind(room):
         each, room = room, None  # "search every room for my keys"
     if (room and not is_room(bare(room))) or is_vague(name):
@@ -283,6 +285,17 @@ def _rewrite_search(found: re.Match[str]) -> str | None:
         refuse_each(each)
     where = relation_text("in", room)
     return None if where is None else f' find "{bare(name)}{where}"'
+
+
+def _rewrite_search_in_rooms(stops: str, name: str) -> str | None:
+    """Return the order to find an object in any of several rooms; None if one is no room."""
+    rooms = re.split(STOP, stops)
+    if re.search(r"\b(?:then|to)\b", stops) or not all(is_room(bare(room)) for room in rooms):
+        return None
+    if is_vague(name):
+        return None
+    places = (f'"{bare(name)}{relation_text("in", room)}"' for room in rooms)
+    return f" find {' or '.join(places)}"
 
 
 def _rewrite_check(found: re.Match[str]) -> str | None:

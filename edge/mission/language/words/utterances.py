@@ -144,6 +144,7 @@ QUESTIONS = {
         what (comes|is|will you do|do you do) next
         (did|have|can) you [already] (find|found|see|seen|reach|reached) (it|them|that) [yet|
             already]*
+        when (are you|will you be) (back|done|finished|ready|there|home)
         how (much longer|long (will|does) (it|this|that) take|long (until|till) ...|far along ...)
     """,
     "help": """
