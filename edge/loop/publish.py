@@ -97,7 +97,7 @@ class ResultPublisher:
             observation: The observation that was handled, if any.
             pose: Newest pose in `map`; None before the first.
             mission: The mission.
-            task: Returns the facts of a task; see `TickResult.task`.
+            task: Returns the status of a task; see `TickResult.task`.
             detections: New detections of this tick.
             scores: The policy's scores of the candidates.
         """

@@ -31,7 +31,7 @@ _MAX_STEP_NS = 60_000_000_000  # in lockstep, a longer time between observations
 _WAIT_S = 0.05  # in lockstep, longest wait for a message before `stop` is checked
 
 
-class RequestHandler(Protocol):
+class Server(Protocol):
     """A server of requests (see `edge.bus.requests`)."""
 
     def serve(self, now_ns: int) -> int:
@@ -55,7 +55,7 @@ class RunningService:
     service: Service
     worker: DetectorWorker
     source: Source
-    servers: Mapping[str, RequestHandler]
+    servers: Mapping[str, Server]
     now_ns: int = field(default=0, init=False)
     epoch: int = field(default=0, init=False)
     reloader: Reloader | None = field(default=None, init=False)

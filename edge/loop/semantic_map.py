@@ -37,7 +37,7 @@ _SAME_AREA_M2 = 0.5  # smallest change of a closed room's area for which it is p
 class SemanticMap:
     """The semantic map. The stages `map`, `lift` and `candidates` of the tick write it.
 
-    They call `update`, `on_detections`, `infer` and `gather`, in this order.
+    They call `update`, `on_detections`, `infer` and `update_candidates`, in this order.
 
     Attributes:
         config: Current configuration; set by `reconfigure`.
@@ -119,7 +119,9 @@ class SemanticMap:
         if self.prior is not None:
             self.prior.step(self.rooms.survey.regions, self.objects.read_only)
 
-    def gather(self, instances: Sequence[Instance], observation: Observation, now_ns: int) -> None:
+    def update_candidates(
+        self, instances: Sequence[Instance], observation: Observation, now_ns: int
+    ) -> None:
         """Update the candidates: frontiers, these instances, and the best spin."""
         pool, camera = self.pool, observation.camera
         pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)

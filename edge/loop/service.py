@@ -223,7 +223,7 @@ class Service:
         self.perception.lift(self.mission)
         self.map.infer(pose, now_ns)
         self._end_stage(LIFT)
-        self.map.gather(self.behaviour.gather(), observation, now_ns)
+        self.map.update_candidates(self.behaviour.target_objects(), observation, now_ns)
         self._end_stage(CANDIDATES)
         self.perception.ask_scorers(self.mission, observation)
         context = self.perception.score(self.mission, observation, now_ns)
@@ -297,7 +297,7 @@ class Service:
         if self.goals.follows(mission) or mission.done:
             return context
         self.goals.begin_target(mission)  # forgets the goal and the attempts of the last target
-        self.map.gather(self.behaviour.gather(), context.observation, now_ns)
+        self.map.update_candidates(self.behaviour.target_objects(), context.observation, now_ns)
         return self.perception.score(mission, context.observation, now_ns)
 
     def _select(self, context: PolicyInput) -> Goal | None:
@@ -478,7 +478,7 @@ class Service:
     def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
         """Return the current state, and all events since the last published result."""
         return self.publisher.result(
-            now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
+            now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.task_status,
             self.perception.detections, self.perception.scores,
         )  # fmt: skip
 

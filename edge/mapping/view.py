@@ -33,8 +33,6 @@ class MapView:
         nearest: nearest free cell that the robot can reach, near a point.
         stopping_point: free cell from which an object is in sight; these three are methods of
             `edge.mapping.travel_cost.TravelCostField`.
-        is_worth_visiting: see `edge.mapping.coverage.Coverage`: True if a view still shows enough
-            places that were not seen well.
         values: one channel per target of the mission, if the policy's scorer feeds them.
     """
 
@@ -45,7 +43,6 @@ class MapView:
         self.unknown_ratio = grid.unknown.ratio
         self.distance_m, self.nearest = grid.travel_cost.distance_m, grid.travel_cost.nearest
         self.stopping_point = grid.travel_cost.stopping_point
-        self.is_worth_visiting = grid.coverage.is_worth_visiting
         self.values = ValuesView(grid.values)
         self._grid = grid
         shown = grid.frontiers

@@ -50,7 +50,7 @@ def ask(loop: ClosedLoop, do: str, **fields: object) -> dict:
 
 
 def until(loop: ClosedLoop, phase: str, seconds: float = 120.0) -> ClosedLoop:
-    while loop.service.behaviour.facts().phase != phase:
+    while loop.service.behaviour.task_status().phase != phase:
         assert loop.seconds < seconds, loop.notes.events
         loop.step()
     return loop

@@ -39,10 +39,10 @@ def test_only_objects_that_fit_the_relation_are_candidates(target, prompts, ids)
     here, mission = SemanticMap(config, spec.prompts), MissionRun(spec, config.mission)
     goals = GoalTracker(config, here.pool, here.tracker, lambda goal: None, lambda text, ns: None)
     behaviour = SearchBehaviour(mission, config, here, goals, None)
-    assert list(behaviour.gather()) == []
+    assert list(behaviour.target_objects()) == []
     for one in (obj(1, "desk", 5.0), *(obj(i, "chair", 2.0 * i) for i in (2, 3, 4))):
         here.tracker.add(one)
-    assert [one.id for one in behaviour.gather()] == ids
+    assert [one.id for one in behaviour.target_objects()] == ids
     here.close()
 
 
@@ -56,9 +56,9 @@ def test_a_reached_object_is_no_candidate_for_the_next_of_several():
     # 2 is a part of 1 that the tracker holds for another chair.
     for i, x_m in enumerate((2.0, 2.7, 5.0), start=1):
         here.tracker.add(obj(i, "chair", x_m))
-    assert [one.id for one in behaviour.gather()] == [1, 2, 3]
+    assert [one.id for one in behaviour.target_objects()] == [1, 2, 3]
     here.tracker.mark_reached(1)
-    assert [one.id for one in behaviour.gather()] == [3]
+    assert [one.id for one in behaviour.target_objects()] == [3]
     here.close()
 
 

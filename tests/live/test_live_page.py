@@ -509,4 +509,4 @@ def test_a_task_is_given_from_the_page(page, house):
     page.click("#new-ok")
     page.until("!document.getElementById('new-dialog').open")
     page.says("#asked", "go past the left of the sofa")
-    assert house.service.behaviour.facts() is not None
+    assert house.service.behaviour.task_status() is not None

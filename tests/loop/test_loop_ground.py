@@ -101,7 +101,7 @@ def test_the_loop_does_not_wait_for_the_network():
     loop = driving("go straight for 1 metre", classifier, lockstep=False)
     for _ in range(5):
         loop.step()
-    assert loop.service.behaviour.facts().phase == "writing"
+    assert loop.service.behaviour.task_status().phase == "writing"
     assert threading.current_thread() not in classifier.threads
     classifier.go.set()
     loop.close()

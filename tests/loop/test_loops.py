@@ -191,7 +191,7 @@ BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
     "detect": lambda run: (run.service.perception.worker, "submit"),
     "map": lambda run: (run.service.perception, "map"),
     "lift": lambda run: (run.service.map._back_projector, "back_project"),
-    "candidates": lambda run: (run.service.map, "gather"),
+    "candidates": lambda run: (run.service.map, "update_candidates"),
     "score": lambda run: (run.service.perception.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),
     "select": lambda run: (run.service.goals.chooser, "choose"),

@@ -318,7 +318,6 @@ def test_the_weakest_instances_are_dropped_unless_protected(scene, monkeypatch):
     s.see(("chair", 2, 4, 0.5), ("chair", 2, -4, 0.9), ("chair", 5, 0, 0.6))
     assert [i.id for i in s.tracker.all] == [1, 2]
     assert s.tracker.get(2).score == pytest.approx(0.9)
-    assert s.tracker.dropped == 2
 
 
 def test_a_search_for_another_target_lowers_no_score(scene):
@@ -420,10 +419,10 @@ def test_a_surer_competing_object_prevents_confirmation(memory):
         tracker = s.look(("desk", 2, 0, 0.5), around=[("sofa", 2, 0, 0.7)])
     (desk,) = tracker.of("desk")
     assert desk.state == "tentative"
-    assert tracker.of("desk", doubted=False) == []
+    assert tracker.of("desk", with_contested=False) == []
     for _ in range(60):  # it was a mistake, and as the looks go on it is seen to be one
         s.look(("desk", 2, 0, 0.6), around=[("sofa", 2, 3, 0.7)])
-    assert tracker.of("desk", only_confirmed=True, doubted=False) == [desk]
+    assert tracker.of("desk", only_confirmed=True, with_contested=False) == [desk]
 
 
 @pytest.mark.parametrize(
@@ -439,7 +438,7 @@ def test_a_confirmed_instance_tolerates_a_moderate_competitor(
         s.look(("desk", 2, 0, 0.6), around=[("lamp", 2, 3, 0.7), ("sofa", 2, 3, 0.7)])
     for _ in range(80):
         tracker = s.look(("desk", 2, 0, desk_score), around=[("sofa", 2, 0, sofa_score)])
-    assert bool(tracker.of("desk", only_confirmed=True, doubted=False)) == sure
+    assert bool(tracker.of("desk", only_confirmed=True, with_contested=False)) == sure
 
 
 @pytest.mark.parametrize(
@@ -451,7 +450,7 @@ def test_a_distant_contested_object_stays_a_candidate(memory, x_m, sofa_score, i
     s = memory(confirm_range_m=3.0)
     for _ in range(10):
         tracker = s.look(("desk", x_m, 0, 0.5), around=[("sofa", x_m, 0, sofa_score)])
-    assert bool(tracker.of("desk", doubted=False)) == is_candidate
+    assert bool(tracker.of("desk", with_contested=False)) == is_candidate
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ class Behaviour(Protocol):
     def searching(self) -> bool:
         """True while the behaviour searches for the active target. The time counts as search."""
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         """Stage `candidates`: return the objects to add to the candidates of this tick."""
 
     def plan(self, context: PolicyInput, images: int) -> None:
@@ -45,7 +45,7 @@ class Behaviour(Protocol):
             images: Number of images that the detector has processed so far.
         """
 
-    def facts(self) -> TaskStatus | None:
+    def task_status(self) -> TaskStatus | None:
         """Return the state of the trajectory; None for a behaviour without one."""
 
     def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:

@@ -126,7 +126,7 @@ class FollowBehaviour:
 
     # -- in each tick -----------------------------------------------------------------------
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         """Return the unconfirmed objects that an ambiguous name may mean."""
         found = [self._map.tracker.get(number) for number in self._retry.ambiguous]
         return [one for one in found if one is not None and one.state == "tentative"]
@@ -136,7 +136,7 @@ class FollowBehaviour:
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
         targets, only_confirmed = mission.spec.targets, not self._config.policy.instances
         # An object that the robot drives past may get lost, but is not searched for again.
-        seen = newest_ids(self._map.tracker, targets, only_confirmed, doubted=False)
+        seen = newest_ids(self._map.tracker, targets, only_confirmed, with_contested=False)
         mission.on_detections(seen, now_ns, keep=self.phase != "looking")
         if not (goals.follows(mission) and mission.active):
             return
@@ -210,7 +210,7 @@ class FollowBehaviour:
         """Drop the running request and stop the worker."""
         self._worker.close()
 
-    def facts(self) -> TaskStatus:
+    def task_status(self) -> TaskStatus:
         """Return the state of the task; see `edge.loop.result.TickResult.task`. For any thread."""
         mission, result, request = self._mission, self._result, self._worker.request
         drive, planner = self._drive, self._config.tasks.planner
@@ -242,7 +242,9 @@ class FollowBehaviour:
         if retry.is_last:
             _fail(self._mission, retry.reason, now_ns)
             return
-        is_settled = retry.ambiguous and not self.gather()  # the objects in question are confirmed
+        is_settled = (
+            retry.ambiguous and not self.target_objects()
+        )  # the objects in question are confirmed
         if is_settled or self._goals.chooser.exhausted or now_ns - retry.tried_ns >= RETRY_NS:
             retry.tried_ns, retry.is_last = now_ns, self._goals.chooser.exhausted
             self._request_plan(observation, None)
@@ -267,7 +269,7 @@ class FollowBehaviour:
         instances = {
             one.id: one.copied()
             for label in mission.spec.targets
-            for one in self._map.tracker.of(label, doubted=False)
+            for one in self._map.tracker.of(label, with_contested=False)
         }
         if not self._retry.reason:
             self.phase = "writing"
@@ -284,7 +286,7 @@ class FollowBehaviour:
         """Start to drive the new trajectory. If there is none, write another or fail."""
         retry, log = self._retry, partial(_log, self._mission)
         retry.ambiguous = result.ambiguous
-        to_verify = self.gather()
+        to_verify = self.target_objects()
         for n, answer in enumerate(result.rounds, start=1):
             if answer.error and request.before is None:
                 log(f"answer {n} of the model: {answer.error}", now_ns)

@@ -67,7 +67,7 @@ class Pursuit(Generic[DestinationType]):
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._probable: ProbableObject | None = None  # the object that the robot goes back to
         self._no_path_since_ns: int | None = None  # None: there is a path to this object
-        self._last_look = False  # True: the limits just suffice to look at a doubted object
+        self._last_look = False  # True: the limits just suffice to look at a contested object
         self._asked_at_s = 0.0  # `pursued_now_s` of the mission when the robot asked about it
 
     @property
@@ -75,7 +75,7 @@ class Pursuit(Generic[DestinationType]):
         """The object to go to: a name, or a description by a relation."""
         return self._mission.target
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
         return self._known_objects()
 
@@ -83,8 +83,10 @@ class Pursuit(Generic[DestinationType]):
         """Return the known objects that the target may mean."""
         only_confirmed = not self._map.config.policy.instances
         # Objects that probably are another object come last, when nothing else is left.
-        doubted = self._chooser.search.exhausted or self._last_look
-        return self._map.tracker.of(self._target_label, only_confirmed, doubted=doubted)
+        with_contested = self._chooser.search.exhausted or self._last_look
+        return self._map.tracker.of(
+            self._target_label, only_confirmed, with_contested=with_contested
+        )
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
@@ -114,9 +116,9 @@ class Pursuit(Generic[DestinationType]):
             if self._is_late(travel_cost.distance_m(*probable.stop_m)):
                 self.finish(now_ns)
         elif not self._last_look:
-            for doubted in self._map.tracker.of(self._target_label)[:1]:
+            for contested in self._map.tracker.of(self._target_label)[:1]:
                 reach_m = self._mission.config.reach_m
-                stop = travel_cost.stopping_point(doubted.points_m, reach_m)
+                stop = travel_cost.stopping_point(contested.points_m, reach_m)
                 self._last_look = stop is not None and self._is_late(stop[2])
 
     def _is_late(self, path_m: float) -> bool:
@@ -209,7 +211,7 @@ class Pursuit(Generic[DestinationType]):
 class PlacePursuit(Pursuit[PlaceTarget]):
     """Pursuit of a place: go to its pose."""
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         return ()
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
@@ -227,7 +229,7 @@ class PlacePursuit(Pursuit[PlaceTarget]):
 class ExplorePursuit(Pursuit[ExploreTarget]):
     """Exploration until no frontier is left, or for some time."""
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         return ()
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
@@ -248,7 +250,7 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
 class WaitPursuit(Pursuit[WaitTarget]):
     """Wait where the robot is."""
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         return ()
 
     def check_progress(self, context: PolicyInput, images: int) -> None:

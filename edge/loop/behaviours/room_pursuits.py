@@ -68,7 +68,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
     _surveyed: RoomSurvey | None = None  # the newest survey that agreed
     _agreed = 0  # number of surveys since the arrival that agree
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         return ()
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
@@ -374,7 +374,7 @@ class SearchRoomPursuit(ExploreRoomPursuit):
         target = self._mission.target
         return target if self._inside is None else without_room(target)
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         known = self._known_objects()
         return known if self._inside is None else self._in_room(known)
 
@@ -383,7 +383,7 @@ class SearchRoomPursuit(ExploreRoomPursuit):
         super().check_progress(context, images)
 
     def end(self, now_ns: int) -> None:
-        missed = "did not get to" if self.gather() else "no"
+        missed = "did not get to" if self.target_objects() else "no"
         reason = f"{missed} {self._mission.target}: the room is explored"
         self._mission.abandon_target(reason, now_ns)
 
@@ -406,7 +406,7 @@ class CheckRoomPursuit(ExploreRoomPursuit):
     def _target_label(self) -> str:
         return self._answer.label
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         return self._in_room(self._known_objects())
 
     def check_progress(self, context: PolicyInput, images: int) -> None:

@@ -122,9 +122,9 @@ class SearchBehaviour:
             self._pursued = (mission.retargets, pursuit)
         return self._pursued[1]
 
-    def gather(self) -> Sequence[Instance]:
+    def target_objects(self) -> Sequence[Instance]:
         """Return the objects that are candidates for the active target."""
-        return () if self._mission.done else self._pursuit.gather()
+        return () if self._mission.done else self._pursuit.target_objects()
 
     def plan(self, context: PolicyInput, images: int) -> None:
         """Check the goal; fail the target if the search for it is exhausted."""
@@ -151,7 +151,7 @@ class SearchBehaviour:
         """Return the goal that the pursuit of the active target chooses."""
         return self._pursuit.select(context, scores, images)
 
-    def facts(self) -> None:
+    def task_status(self) -> None:
         """Return None, since there is no trajectory."""
 
     def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
@@ -166,7 +166,10 @@ class SearchBehaviour:
 
 
 def newest_ids(
-    tracker: InstanceTracker, targets: Sequence[str], only_confirmed: bool, doubted: bool = True
+    tracker: InstanceTracker,
+    targets: Sequence[str],
+    only_confirmed: bool,
+    with_contested: bool = True,
 ) -> dict[str, int]:
     """Return the highest object id of each target that has a known object.
 
@@ -174,7 +177,7 @@ def newest_ids(
         tracker: The instance tracker.
         targets: The targets.
         only_confirmed: Count only confirmed objects.
-        doubted: Count objects that were more often detected as another class, too.
+        with_contested: Count objects that were more often detected as another class, too.
     """
-    known = {label: tracker.of(label, only_confirmed, doubted) for label in targets}
+    known = {label: tracker.of(label, only_confirmed, with_contested) for label in targets}
     return {label: max(i.id for i in found) for label, found in known.items() if found}

@@ -152,8 +152,8 @@ class EveryObjectPursuit(Pursuit[EveryObjectTarget]):
         super().__init__(*args)
         self._tried = TriedPlaces(self._map)
 
-    def gather(self) -> Sequence[Instance]:
-        return self._tried.without(super().gather())
+    def target_objects(self) -> Sequence[Instance]:
+        return self._tried.without(super().target_objects())
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         self._tried.note(self._goals.goal, context.pose)
@@ -177,8 +177,8 @@ class EveryObjectInRoomPursuit(SearchRoomPursuit):
         super().__init__(*args)
         self._tried = TriedPlaces(self._map)
 
-    def gather(self) -> Sequence[Instance]:
-        return self._tried.without(super().gather())
+    def target_objects(self) -> Sequence[Instance]:
+        return self._tried.without(super().target_objects())
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         self._tried.note(self._goals.goal, context.pose)
@@ -211,8 +211,8 @@ def end_with_count(
     noun = name if described is None else described.noun
     tracker, rooms = semantic_map.tracker, semantic_map.rooms
     found = [one for one in counted(tracker.of(name)) if one.state == "reached"]
-    missed = len(counted(tracker.of(label, only_confirmed=True, doubted=False)))
-    known = counted(tracker.of(name, only_confirmed=True, doubted=False))
+    missed = len(counted(tracker.of(label, only_confirmed=True, with_contested=False)))
+    known = counted(tracker.of(name, only_confirmed=True, with_contested=False))
     near = sum(one.state != "reached" for one in known) - missed
     text = f"found {len(found) or 'no'} {noun if len(found) < 2 else names.plural(noun)}"
     others = [f"did not get to {missed} more"] if missed else []

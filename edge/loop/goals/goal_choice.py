@@ -18,7 +18,7 @@ from edge.config import Config
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.goals.candidates import CandidatePool
-from edge.loop.goals.search_state import LASTING_NS, LEFT, TURNS, NextBestView, SearchState
+from edge.loop.goals.search_state import LASTING_NS, MAX_PLACES, TURNS, NextBestView, SearchState
 from edge.mapping.coverage import START_M, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
@@ -194,7 +194,7 @@ class GoalChooser:
         """
         tracked, goal_rows = None, ("kind", "id", "at")
         # Largest number of rows of each group of arrays.
-        rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): LEFT}
+        rows = {goal_rows: 1, ("left_m",): MAX_PLACES, ("missed",): MAX_PLACES}
         max_values = {"kind": len(_KINDS) - 1, "turns": 1000}
         check_arrays(state, self.state_dict(), rows, max_values)
         for kind, i, at in zip(state["kind"], state["id"], state["at"].tolist(), strict=True):

@@ -47,7 +47,7 @@ _LEAST_WAITS = 3
 # either drives all the way to it or ignores it.
 _OFTEN_LEFT = 3
 _SAME_FRONTIER_M = 0.6  # frontiers that were left this near to each other count as the same
-LEFT = 64  # largest number of remembered frontiers that were left, and of places out of reach
+MAX_PLACES = 64  # largest number of remembered frontiers that were left, and of places out of reach
 _SAME_PLACE_M = 0.3  # two goals this near to each other count as the same place
 
 
@@ -82,7 +82,7 @@ class SearchState:
     """
 
     exhausted: bool = False
-    left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
+    left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MAX_PLACES))
     has_moved: bool = False
     probable: ProbableObject | None = None
     waiting: bool = False
@@ -91,12 +91,12 @@ class SearchState:
     _second_chance: bool = False  # True if discarded candidates had their second chance
     # Instances that were out of reach: id, and the place (x, y) of the goal that was reached.
     _missed: deque[tuple[int, tuple[float, float]]] = field(
-        default_factory=lambda: deque(maxlen=LEFT)
+        default_factory=lambda: deque(maxlen=MAX_PLACES)
     )
     _failures: Counter[int] = field(default_factory=Counter)  # of goals, by instance; not saved
     _jumps: Counter[int] = field(default_factory=Counter)  # likewise; see `count_jump`
     # Places of frontiers whose goals ended; not saved.
-    _visited: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
+    _visited: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MAX_PLACES))
     _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
     _waits: int = 0

@@ -97,8 +97,8 @@ def _errors(snapshot: ScrapeSnapshot) -> dict[tuple[str, str], int]:
 
 def _task_steps(snapshot: ScrapeSnapshot) -> dict[str, int]:
     """Count the steps of a task by state."""
-    facts = snapshot.service.behaviour.facts()
-    counted = Counter(step.state for step in facts.steps) if facts else Counter()
+    task = snapshot.service.behaviour.task_status()
+    counted = Counter(step.state for step in task.steps) if task else Counter()
     return {state: counted[state] for state in _STEP_STATES}
 
 

@@ -262,7 +262,7 @@ def handle_mission(
         service.control.confirm(now_ns)
     elif request.do in ("pause", "resume"):
         service.control.pause(request.do == "pause", now_ns, request.fields.get("for_s"))
-    task = service.behaviour.facts()
+    task = service.behaviour.task_status()
     overtaken = {"overtaken": request.cancelled} if request.cancelled else {}
     return {
         **reply_json(service.status, mission_facts(service.mission), task),

@@ -64,14 +64,13 @@ class InstanceTracker:
     Attributes:
         tracks: the instances with their evidence, by id, oldest first.
         newest_id: highest id given so far; 0: none.
-        dropped: number of instances removed over `MAX_INSTANCES`.
         resolver: finds the instances of labels such as "chair next to desk"; may be set. None: all
             labels are plain names.
     """
 
     def __init__(self, perception: config.PerceptionConfig) -> None:
         self.config = perception
-        self.dropped = self.newest_id = 0
+        self.newest_id = 0
         self.resolver: LabelResolver | None = None
         self.tracks: dict[int, InstanceTrack] = {}
 
@@ -87,7 +86,9 @@ class InstanceTracker:
         track = self.tracks.get(instance_id)
         return track.instance if track else None
 
-    def of(self, label: str, only_confirmed: bool = False, doubted: bool = True) -> list[Instance]:
+    def of(
+        self, label: str, only_confirmed: bool = False, with_contested: bool = True
+    ) -> list[Instance]:
         """Return the instances of a label (or a synonym) that are worth driving to, best first.
 
         These were detected in at least `min_hits` images and are not rejected.
@@ -95,21 +96,23 @@ class InstanceTracker:
         Args:
             label: name or description of a target.
             only_confirmed: True: leave out instances that are not confirmed.
-            doubted: True: keep contested instances, whose place another object explains better.
+            with_contested: True: keep instances whose place another object explains better.
         """
         if self.resolver is not None:
-            plain = partial(self._with_name, only_confirmed=only_confirmed, doubted=doubted)
-            # `last` has the meaning of `doubted`: accept doubtful instances, too.
-            if (found := self.resolver.resolve(label, plain, last=doubted)) is not None:
+            plain = partial(
+                self._with_name, only_confirmed=only_confirmed, with_contested=with_contested
+            )
+            # Contested instances count only when the search is over, as doubtful ones do here.
+            if (found := self.resolver.resolve(label, plain, last=with_contested)) is not None:
                 return found
-        return self._with_name(label, only_confirmed, doubted)
+        return self._with_name(label, only_confirmed, with_contested)
 
     def reason_for(self, label: str, instance: Instance) -> str:
         """Return why a label means this instance; "" for a plain name."""
-        plain = partial(self._with_name, only_confirmed=False, doubted=True)
+        plain = partial(self._with_name, only_confirmed=False, with_contested=True)
         return "" if self.resolver is None else self.resolver.reason_for(label, instance, plain)
 
-    def _with_name(self, label: str, only_confirmed: bool, doubted: bool) -> list[Instance]:
+    def _with_name(self, label: str, only_confirmed: bool, with_contested: bool) -> list[Instance]:
         name = names.canonical(label)
         found = [
             track.instance
@@ -118,7 +121,7 @@ class InstanceTracker:
             and track.instance.state != "rejected"
             and track.instance.hits >= self.config.min_hits
             and (not only_confirmed or track.instance.is_confirmed)
-            and (doubted or not track.contested)
+            and (with_contested or not track.contested)
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
@@ -322,4 +325,3 @@ class InstanceTracker:
         free.sort(key=lambda instance: (instance.score, instance.last_seen_ns))
         for instance in free[:excess]:
             del self.tracks[instance.id]
-            self.dropped += 1
