@@ -88,5 +88,5 @@ def test_a_background_object_is_found_at_its_place(house, word):
         sightings.update(lifted, around)
         fusion.update(lifted, observation.stamp_ns)
         fusion.expire(observation, found.prompts)
-    sure = tracker.of(word, only_confirmed=True, doubted=False)
+    sure = tracker.of(word, only_confirmed=True, with_contested=False)
     assert min(obj.distance_m(*i.center_m[:2].tolist()) for i in sure) < 0.5, tracker.all
