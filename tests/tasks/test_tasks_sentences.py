@@ -93,7 +93,7 @@ def test_no_sentence_is_read_wrong_and_most_are_read():
         found, read = outcome(instruction, meaning.split(" / "))
         counts[group, found] += 1
         wrong += [(instruction, read)] * (found == "wrong")
-    print(*sorted(counts.items()), sep="\n")  # pytest -s: the table of docs/evaluation.md
+    print(*sorted(counts.items()), sep="\n")  # pytest -s: the table of docs/experiments.md
     assert wrong == []
     assert counts["free", "right"] >= 40
     assert counts["fresh", "right"] >= 28
