@@ -125,7 +125,7 @@ def _export(
     return _export_derived(card, fp32, args, text)
 
 
-def _export_text(card: TextCard, args: argparse.Namespace) -> EmbeddingReport:
+def _export_text(card: TextCard, args: argparse.Namespace) -> EmbeddingReport | None:
     """Make the file of a text encoder in TorchScript."""
     from exporters.mobileclip import export_text
 
