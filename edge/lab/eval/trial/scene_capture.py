@@ -83,10 +83,10 @@ def capture_kitti(
     clearance_m, detect = config.tasks.trajectory.clearance_m, None
     last = frames[-1].observation
     if words is None:
-        scene, by = kitti.scene_of(frames, kitti.label_pipeline(frames), clearance_m), "the labels"
+        scene, by = kitti.scene_of(frames, None, clearance_m), "the labels"
     else:
         with detector_pipeline(config, words) as (pipeline, by):
-            scene = kitti.scene_of(frames, pipeline, clearance_m, by_labels=False)
+            scene = kitti.scene_of(frames, pipeline, clearance_m)
         detect = _frame_detector(last, config)
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
     frame_word = "frames" if len(numbers) > 1 else "frame"
@@ -264,5 +264,4 @@ def _ground_kind(this_street: Street, kinds: Sequence[str], cloud_m: np.ndarray)
 
 def _in_map(seen: Observation) -> np.ndarray:
     """Return the points of the cloud in `map`, (n, 3) float32."""
-    T = seen.T_map_base @ seen.T_base_lidar
-    return (seen.cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+    return kitti.cloud_in_map(seen).astype(np.float32)
