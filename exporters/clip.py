@@ -138,9 +138,6 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
     """Make all files and cards that were asked for; return the parity by card, None if unknown.
 
     `exporters.__main__` explains the arguments.
-
-    Raises:
-        ExportError: the folder or the images cannot be used, or a parity misses its limits.
     """
     folder: Path = args.weights
     wanted = precisions_to_make(args, TEXT_PRECISION, "image and text encoders")
@@ -181,11 +178,7 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
 def make_cards(
     folder: Path, precision: str, towers: tuple[nn.Module, nn.Module], args: Any
 ) -> list[dict[str, Any]]:
-    """Return the cards of the image tower, the text tower and the pair, in one precision.
-
-    Raises:
-        ExportError: the folder needs preprocessing that the runtime does not have.
-    """
+    """Return the cards of the image tower, the text tower and the pair, in one precision."""
     image, text = (
         f"{args.card}-image-{precision}",
         f"{args.card}-text-{TEXT_PRECISION[precision]}",
@@ -306,9 +299,6 @@ def make_encoder(
         args: see `exporters.__main__`.
         others: (m, d) embeddings by the other tower, see `compare`.
         calibration_sha256: hash of the pictures behind `to_calibrate`.
-
-    Raises:
-        ExportError: the parity misses its limits.
     """
     out, precision, source = args.cache / card["file"], card["precision"], card["derived_from"]
     name = "pixels" if card["task"] == "image" else "tokens"

@@ -100,11 +100,7 @@ def load_detector(folder: Path) -> tuple[Owlv2Detector, ClipTextTower]:
 
 
 def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
-    """Make all files and cards that were asked for; return the parity by card, None if unknown.
-
-    Raises:
-        ExportError: the folder or the images cannot be used, or a parity misses its limits.
-    """
+    """Make all files and cards that were asked for; return the parity by card, None if unknown."""
     wanted = precisions_to_make(args, LIMITS, "OWLv2")
     detector, tower = load_detector(args.weights)
     tokenizer = args.cache / f"{args.card}-tokenizer.json"

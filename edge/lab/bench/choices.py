@@ -101,9 +101,6 @@ def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
 
     Returns:
         The exit status: 0, or 1 if no model could run.
-
-    Raises:
-        UserError: an option cannot be used.
     """
     rows = compare(family, args, pictures)
     print(machine.summary(machine.describe()))
@@ -116,11 +113,7 @@ def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
 
 
 def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> list[Row]:
-    """Return one row for each choice model of a family on each provider.
-
-    Raises:
-        UserError: an option cannot be used.
-    """
+    """Return one row for each choice model of a family on each provider."""
     cards = [c for c in all_cards() if isinstance(c, DirectionsCard) and c.family == family]
     cards.sort(key=lambda card: (card.precision != REFERENCE, card.name))
     views = views_of(pictures)

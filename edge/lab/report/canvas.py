@@ -149,11 +149,7 @@ def content(figure: Figure, kind: str, **options: Any) -> bytes:
 def save_plots(
     figures: Mapping[str, Figure], folder: Path, kinds: Sequence[str] = ("svg", "png")
 ) -> list[Path]:
-    """Write figures by name as files of each kind, and return the files.
-
-    Raises:
-        FileError: a file cannot be written.
-    """
+    """Write figures by name as files of each kind, and return the files."""
     paths = []
     for kind in kinds:
         for name, figure in figures.items():

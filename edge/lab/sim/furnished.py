@@ -116,11 +116,7 @@ class PlacedModel:
 
 
 def load_furnished(section: WorldFurnished, config: Config) -> MeshWorld:
-    """Load a house, furnished with the models of a catalogue; a seed gives the same everywhere.
-
-    Raises:
-        WorldError: an extra is not installed, or the catalogue or the house cannot be read.
-    """
+    """Load a house, furnished with the models of a catalogue; a seed gives the same everywhere."""
     require_packages(config)
     plan = section.house
     house = (  # its furniture is made of boxes

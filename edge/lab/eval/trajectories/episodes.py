@@ -103,9 +103,6 @@ def episodes(
     Each spec has a form of `PLACE_FORMS`, and at most `limit` episodes. The pipeline finds the
     objects in frames of SemanticKITTI; without one, they come from the labels. With a pipeline,
     other places are refused, as their objects are known.
-
-    Raises:
-        UserError: a spec has another form or cannot be read.
     """
     sources = [_episodes_of(spec, pipeline) for spec in specs]  # check all before the first runs
     for source in sources:

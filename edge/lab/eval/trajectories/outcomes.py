@@ -162,12 +162,7 @@ def outcome_of(
 
 
 class ResultsFolder:
-    """The saved episodes and outcomes of a folder. New ones are appended.
-
-    Raises:
-        FileError: a file cannot be read or written.
-        UserError: a file has other content.
-    """
+    """The saved episodes and outcomes of a folder. New ones are appended."""
 
     def __init__(self, path: Path) -> None:
         self._episodes = JsonLinesFile(

@@ -159,9 +159,6 @@ def detector_pipeline(
 
     It looks for `words`, in addition to the detector's `background`. A simulated detector needs the
     ground truth.
-
-    Raises:
-        UserError: there is no detector, or nothing to look for.
     """
     with _object_pipeline(config, words, truth) as (pipeline, by):
         yield pipeline._replace(ground=make_ground_classifier(config.tasks)), by
