@@ -71,7 +71,7 @@ def page(width_px: float, height_px: float) -> Axes:
 
 
 def plots(
-    size_in: tuple[float, float], dpi: int, columns: int = 1, rows: int = 1
+    size_in: tuple[float, float], columns: int = 1, rows: int = 1, dpi: int = 150
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with empty axes for plots, row by row, with a grid and no frame."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -100,14 +100,10 @@ class PlacedModel:
 
     def holds(self, x_m: float, y_m: float) -> bool:
         """Return True if a point of `map` is within its footprint."""
-        x, y = self.to_local(x_m, y_m)
-        return abs(x) <= 0.5 * self.size_m[0] and abs(y) <= 0.5 * self.size_m[1]
-
-    def to_local(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Return a point of `map` as distances ahead of the model's middle and to its left."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
-        return c * dx + s * dy, c * dy - s * dx
+        ahead_m, left_m = c * dx + s * dy, c * dy - s * dx
+        return abs(ahead_m) <= 0.5 * self.size_m[0] and abs(left_m) <= 0.5 * self.size_m[1]
 
     def to_map(self, ahead_m: float, left_m: float) -> tuple[float, float]:
         """Return x and y in `map` of a point ahead of the model's middle and to its left."""

@@ -219,8 +219,7 @@ def kitti_place(frame: kitti.KittiFrame, all_frames: Scene, solid_m: np.ndarray)
     objects in all frames.
     """
     seen = frame.observation
-    T_map_lidar = seen.T_map_base @ seen.T_base_lidar
-    points_m = (seen.cloud_m @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3]).astype(np.float32)
+    points_m = kitti.cloud_in_map(seen).astype(np.float32)
     landmarks = []
     for label, indices in kitti.objects_shown(frame):
         if label not in _NO_NAMES:
