@@ -51,7 +51,6 @@ from exporters.quantize import (
     input_hw,
     pictures,
     require_calibration,
-    split_images,
 )
 from exporters.recipes import recipe_of
 from exporters.sidecar import write_sidecar
@@ -97,35 +96,31 @@ def load_card(name: str, folder: Path) -> DetectCard:
 
 
 def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | None:
-    """Make a card's ONNX file and its sidecar in the cache; None if parity was not measured."""
+    """Make a card's ONNX file and its sidecar in the cache; None if parity was not measured.
+
+    If the card is derived from FP32, that file is made first, unless it is there.
+    """
     if args.weights is None and card.derived_from is None:
         raise ExportError(f"{card.name}: --weights is missing; give the checkpoint (a .pt file)")
     text = _prompts(card, args)
-    report = _export(card, args, text)
+    fp32 = None
+    if card.derived_from is not None:
+        fp32 = load_card(card.derived_from, args.cards)
+        require_calibration(args.calibration, card.name)
+        if args.weights is not None:
+            _make_file(fp32, None, args, text)
+        elif not (args.cache / fp32.file).is_file():
+            raise ExportError(
+                f"{args.cache / fp32.file}: no such file; give --weights FILE.pt, from which "
+                f"{fp32.name} is made first"
+            )
+    report = _make_file(card, fp32, args, text)
     if args.vocabulary is None and card.text_encoder is None:
         keep_vocabulary(text, args.cache / VOCABULARY_FILE)
     return report
 
 
-def _export(
-    card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
-) -> ParityReport | None:
-    """Make the file of a card, and first the FP32 file if the card is derived from it."""
-    if card.derived_from is None:
-        return _export_fp32(card, args, text)
-    fp32 = load_card(card.derived_from, args.cards)
-    require_calibration(args.calibration, card.name)
-    if args.weights is not None:
-        _export_fp32(fp32, args, text)
-    elif not (args.cache / fp32.file).is_file():
-        raise ExportError(
-            f"{args.cache / fp32.file}: no such file; give --weights FILE.pt, from which "
-            f"{fp32.name} is made first"
-        )
-    return _export_derived(card, fp32, args, text)
-
-
-def _export_text(card: TextCard, args: argparse.Namespace) -> EmbeddingReport:
+def _export_text(card: TextCard, args: argparse.Namespace) -> EmbeddingReport | None:
     """Make the file of a text encoder in TorchScript."""
     from exporters.mobileclip import export_text
 
@@ -175,55 +170,40 @@ def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
     print(f"{out}: the {len(text.names)} words inside the checkpoint", file=sys.stderr)
 
 
-def _export_fp32(
-    card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
+def _make_file(
+    card: DetectCard, fp32: DetectCard | None, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
-    """Make FP32 ONNX from the checkpoint; compare it with torch if there are images."""
-    from exporters.yolo_world import export_onnx, load_detector
+    """Make a detector's file, from the checkpoint or from the file of the card `fp32`.
 
+    It is compared with what it was made from, on images not used for calibration, if there are any.
+    """
     out = args.cache / card.file
+    calibration, validation = pictures(args.calibration, args.validation)
     print(f"{card.name}: exporting {out}", file=sys.stderr)
-    detector = load_detector(args.weights, trusted_sha256(card, args))
-    report = None
+    report, calibration_sha256 = None, None
     with replace_atomically(out) as temporary:  # a file that fails its limits is discarded
-        export_onnx(detector, card.input.height, card.input.width, temporary)
-        if validation := pictures(args.calibration, args.validation)[1]:
-            report = measure(torch_model(detector), temporary, validation, text)
-            report.accept(card.name, "torch", None if args.no_gate else FP32_LIMITS)
-    _finish_step(card, args, report, "torch")
-    return report
+        if fp32 is None:
+            from exporters.yolo_world import export_onnx, load_detector
 
-
-def _export_derived(
-    card: DetectCard, fp32: DetectCard, args: argparse.Namespace, text: TextEmbeddings
-) -> ParityReport:
-    """Make FP16 or INT8 from FP32 ONNX; compare it with FP32 on images not used for calibration."""
-    source, out, recipe = args.cache / fp32.file, args.cache / card.file, recipe_of(card.family)
-    calibration, validation = split_images(args.calibration, args.validation)
-    print(f"{card.name}: {len(calibration)} images to calibrate on", file=sys.stderr)
-    feeds = calibration_feeds(calibration, text, input_hw(onnx.load(source)))
-    with replace_atomically(out) as temporary:
-        derive(source, temporary, feeds, recipe, card.precision)
-        report = measure(source, temporary, validation, text)
-        limits = FP16_LIMITS if card.precision == "fp16" else INT8_LIMITS
-        report.accept(card.name, fp32.name, None if args.no_gate else limits)
-    _finish_step(card, args, report, fp32.name, digest_of(calibration))
-    return report
-
-
-def _finish_step(
-    card: DetectCard,
-    args: argparse.Namespace,
-    report: ParityReport | None,
-    reference: str,
-    calibration_sha256: str | None = None,
-) -> None:
-    """Write the sidecar of a detector's file, and its parity into the card if asked."""
+            detector = load_detector(args.weights, trusted_sha256(card, args))
+            export_onnx(detector, card.input.height, card.input.width, temporary)
+            original, name, limits = torch_model(detector), "torch", FP32_LIMITS
+        else:
+            original, name = args.cache / fp32.file, fp32.name
+            print(f"{card.name}: {len(calibration)} images to calibrate on", file=sys.stderr)
+            feeds = calibration_feeds(calibration, text, input_hw(onnx.load(original)))
+            derive(original, temporary, feeds, recipe_of(card.family), card.precision)
+            limits = FP16_LIMITS if card.precision == "fp16" else INT8_LIMITS
+            calibration_sha256 = digest_of(calibration)
+        if validation:
+            report = measure(original, temporary, validation, text)
+            report.accept(card.name, name, None if args.no_gate else limits)
     weights = next((source.sha256 for source in card.weights_sources()), None)
-    parity = report.for_card(reference) if report else None
-    write_sidecar(args.cache / card.file, card.name, parity, weights, calibration_sha256)
+    parity = report.for_card(name) if report else None
+    write_sidecar(out, card.name, parity, weights, calibration_sha256)
     if args.update_card and parity is not None:
         _update_card(args.cards / f"{card.name}.yaml", parity)
+    return report
 
 
 def _update_card(path: Path, parity: dict) -> None:

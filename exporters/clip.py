@@ -10,7 +10,6 @@ uses both. `edge.perception.embedding.clip` describes the files.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -139,9 +138,6 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
     """Make all files and cards that were asked for; return the parity by card, None if unknown.
 
     `exporters.__main__` explains the arguments.
-
-    Raises:
-        ExportError: the folder or the images cannot be used, or a parity misses its limits.
     """
     folder: Path = args.weights
     wanted = precisions_to_make(args, TEXT_PRECISION, "image and text encoders")
@@ -152,11 +148,28 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
         hugging_face.tokenizer_text(folder, lowercase=_family(folder).pads).encode(),
     )
     cards = {p: make_cards(folder, p, towers, args) for p in wanted}
-    exporter = _TowerExporter(args, towers, cards["fp32"], calibration, validation)
+    image_card = ImageCard.model_validate(cards["fp32"][0])
+    tokens = tokens_of(TextCard.model_validate(cards["fp32"][1]), args.cache, sentences())
+    vocabulary = towers[1].text_model.config.vocab_size
+    hugging_face.check_tokens(folder, tokens.ravel().tolist(), vocabulary)
+    texts = [row[None] for row in tokens]
+    to_calibrate, to_compare = (
+        ([pixels_of(read_rgb(path), image_card) for path in calibration], texts),
+        ([pixels_of(read_rgb(path), image_card) for path in validation], texts),
+    )
+    # `compare` ranks images by texts, and texts by images.
+    image_rows, text_rows = map(embed_torch, towers, to_compare)
+    others = (text_rows, image_rows)
+    weights_sha256 = hugging_face.weights_sha256(folder)
+    digests = (digest_of(calibration) if calibration else None, None)
     reports: dict[str, EmbeddingReport | None] = {}
     for precision in wanted:
-        for card in cards[precision][:2]:  # the towers; the third card has no file
-            reports[card["name"]] = exporter.make(card)
+        for k, tower in enumerate(towers):  # the third card, of the pair, has no file
+            card = cards[precision][k]
+            reports[card["name"]] = make_encoder(
+                card, tower, to_calibrate[k], to_compare[k], weights_sha256, args, others[k],
+                digests[k],
+            )  # fmt: skip
         for card in cards[precision]:
             write_card(card, args.cache)
     return reports
@@ -165,11 +178,7 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
 def make_cards(
     folder: Path, precision: str, towers: tuple[nn.Module, nn.Module], args: Any
 ) -> list[dict[str, Any]]:
-    """Return the cards of the image tower, the text tower and the pair, in one precision.
-
-    Raises:
-        ExportError: the folder needs preprocessing that the runtime does not have.
-    """
+    """Return the cards of the image tower, the text tower and the pair, in one precision."""
     image, text = (
         f"{args.card}-image-{precision}",
         f"{args.card}-text-{TEXT_PRECISION[precision]}",
@@ -250,83 +259,6 @@ def _height_width(size: Any, path: Path) -> tuple[int, int]:
     raise ExportError(f"{path}: size: got {one_line(size)}; give height and width in px")
 
 
-class _TowerExporter:
-    """Exporter of the towers, one after the other; compares each with the original.
-
-    Args:
-        args: see `export`.
-        towers: image and text tower of the original.
-        fp32: the FP32 cards, see `make_cards`.
-        calibration: images to calibrate on.
-    """
-
-    def __init__(
-        self,
-        args: Any,
-        towers: tuple[nn.Module, nn.Module],
-        fp32: Sequence[dict[str, Any]],
-        calibration: list[Path],
-        validation: list[Path],
-    ) -> None:
-        self._args, self._towers = args, towers
-        self._digest = digest_of(calibration) if calibration else None
-        self._weights = hugging_face.weights_sha256(args.weights)
-        image_card = ImageCard.model_validate(fp32[0])
-        tokens = tokens_of(TextCard.model_validate(fp32[1]), args.cache, sentences())
-        vocabulary = towers[1].text_model.config.vocab_size
-        hugging_face.check_tokens(args.weights, tokens.ravel().tolist(), vocabulary)
-        self._feeds = {
-            "image": [{"pixels": pixels_of(read_rgb(p), image_card)} for p in calibration],
-            "text": [{"tokens": row[None]} for row in tokens],
-        }
-        self._tests = {
-            "image": [pixels_of(read_rgb(p), image_card) for p in validation],
-            "text": [row[None] for row in tokens],
-        }
-        # The original's embeddings, by task. `compare` ranks images by texts, and texts by images.
-        self._reference = {
-            task: embed_torch(tower, self._tests[task])
-            for task, tower in zip(("image", "text"), towers, strict=True)
-        }
-
-    def make(self, card: dict[str, Any]) -> EmbeddingReport | None:
-        """Make the file and the sidecar of a card; None if there is nothing to compare on."""
-        task, precision, source = card["task"], card["precision"], card["derived_from"]
-        out = self._args.cache / card["file"]
-        print(f"{card['name']}: exporting {out}", file=sys.stderr)
-        with replace_atomically(out) as temporary:
-            if source is None:
-                tower = self._towers[("image", "text").index(task)]
-                export_tower(tower, temporary, task, self._example(card))
-            else:
-                fp32 = self._args.cache / f"{source}.onnx"
-                derive(fp32, temporary, self._feeds[task], TRANSFORMER, precision)
-            report = self._measure(card, temporary, precision)
-        parity = report.for_card("torch") if report else None
-        digest = self._digest if task == "image" and source is not None else None
-        write_sidecar(out, card["name"], parity, self._weights, digest)
-        return report
-
-    def _measure(
-        self, card: dict[str, Any], temporary: Path, precision: str
-    ) -> EmbeddingReport | None:
-        """Compare a new file with the original; raise ExportError if it misses its limits."""
-        task = card["task"]
-        if not self._tests[task]:
-            return None
-        found = embed_onnx(temporary, self._tests[task])
-        other = self._reference["text" if task == "image" else "image"]
-        report = compare(self._reference[task], found, other)
-        report.accept(card["name"], "torch", None if self._args.no_gate else LIMITS[precision])
-        return report
-
-    def _example(self, card: dict[str, Any]) -> Tensor:
-        """Return an input of the card's tower, to trace it with."""
-        if card["task"] == "image":
-            return torch.zeros(1, 3, card["input"]["height"], card["input"]["width"])
-        return torch.from_numpy(np.concatenate(self._tests["text"][:2]))
-
-
 def sentences() -> list[str]:
     """Return the sentences that a text tower is compared on: VLFM's prompt with common targets."""
     return [SENTENCE.format(names.normalise(word)) for word in PROMPTS.split(",")]
@@ -344,38 +276,52 @@ def tokens_of(card: TextCard, folder: Path, texts: list[str]) -> np.ndarray:
     return tokens
 
 
-def export_tower(tower: nn.Module, out: Path, task: str, example: Tensor) -> None:
-    """Write a tower as FP32 ONNX: one image of one size, or any number of texts."""
-    name = "pixels" if task == "image" else "tokens"
-    # Axes of any length; see `export_module`.
-    free = {} if task == "image" else {name: {0: "n"}, "embeddings": {0: "n"}}
-    export_module(tower, out, {name: example}, ("embeddings",), free)
+def make_encoder(
+    card: dict[str, Any],
+    tower: nn.Module,
+    to_calibrate: list[np.ndarray],
+    to_compare: list[np.ndarray],
+    weights_sha256: str,
+    args: Any,
+    others: np.ndarray | None = None,
+    calibration_sha256: str | None = None,
+) -> EmbeddingReport | None:
+    """Make the file and the sidecar of an encoder; return None if there is nothing to compare on.
 
+    A precision other than FP32 is made from the FP32 file in the cache.
 
-def make_text_encoder(
-    card: dict[str, Any], tower: nn.Module, tokens: np.ndarray, weights_sha256: str, args: Any
-) -> EmbeddingReport:
-    """Make the file and the sidecar of a detector's text encoder.
-
-    Its text card is `card`; a precision other than FP32 is made from the FP32 file in the cache.
-    `tower` is the original, and `tokens` (n, context) int64 are texts to trace, calibrate and
-    compare with.
-
-    Raises:
-        ExportError: the parity misses its limits.
+    Args:
+        card: image card or text card.
+        tower: the original: `pixels` or `tokens` → `embeddings`.
+        to_calibrate: inputs of the tower, each with a first axis of 1.
+        to_compare: the same, to compare the file with the tower on.
+        weights_sha256: hash of the original's weights.
+        args: see `exporters.__main__`.
+        others: (m, d) embeddings by the other tower, see `compare`.
+        calibration_sha256: hash of the pictures behind `to_calibrate`.
     """
     out, precision, source = args.cache / card["file"], card["precision"], card["derived_from"]
-    rows = [row[None] for row in tokens]
+    name = "pixels" if card["task"] == "image" else "tokens"
     print(f"{card['name']}: exporting {out}", file=sys.stderr)
+    report = None
     with replace_atomically(out) as temporary:
-        if source is None:
-            export_tower(tower, temporary, "text", torch.from_numpy(tokens[:2]))
-        else:
-            feeds = [{"tokens": row} for row in rows]
+        if source is not None:
+            feeds = [{name: row} for row in to_calibrate]
             derive(args.cache / f"{source}.onnx", temporary, feeds, TRANSFORMER, precision)
-        report = compare(embed_torch(tower, rows), embed_onnx(temporary, rows))
-        report.accept(card["name"], "torch", None if args.no_gate else LIMITS[precision])
-    write_sidecar(out, card["name"], report.for_card("torch"), weights_sha256)
+        elif name == "pixels":
+            pixels = torch.zeros(1, 3, card["input"]["height"], card["input"]["width"])
+            export_module(tower, temporary, {name: pixels}, ("embeddings",), {})
+        else:
+            tokens = torch.from_numpy(np.concatenate(to_compare[:2]))
+            free = {name: {0: "n"}, "embeddings": {0: "n"}}  # any number of texts
+            export_module(tower, temporary, {name: tokens}, ("embeddings",), free)
+        if to_compare:
+            found = embed_onnx(temporary, to_compare)
+            report = compare(embed_torch(tower, to_compare), found, others)
+            report.accept(card["name"], "torch", None if args.no_gate else LIMITS[precision])
+    parity = report.for_card("torch") if report else None
+    digest = None if source is None else calibration_sha256
+    write_sidecar(out, card["name"], parity, weights_sha256, digest)
     return report
 
 

@@ -11,14 +11,14 @@ import torch
 
 from edge.perception.runtime.card_types import TextCard
 from edge.text import one_line
-from exporters.clip import make_text_encoder, tokens_of
+from exporters.clip import make_encoder, tokens_of
 from exporters.encoder_parity import EmbeddingReport
 from exporters.files import ExportError, check_sha256
 from exporters.images import PROMPTS
 from exporters.sidecar import write_sidecar
 
 
-def export_text(card: TextCard, sha256: str, args: Any) -> EmbeddingReport:
+def export_text(card: TextCard, sha256: str, args: Any) -> EmbeddingReport | None:
     """Make the file of a text card from `args.weights`, a TorchScript file with this hash.
 
     Raises:
@@ -37,4 +37,5 @@ def export_text(card: TextCard, sha256: str, args: Any) -> EmbeddingReport:
         ) from None
     for parameter in script.parameters():
         parameter.requires_grad_(False)
-    return make_text_encoder(card.model_dump(), script, tokens, sha256, args)
+    texts = [row[None] for row in tokens]
+    return make_encoder(card.model_dump(), script, texts, texts, sha256, args)

@@ -26,7 +26,7 @@ from exporters.clip import (
     ClipTextTower,
     embed_torch,
     image_preprocess,
-    make_text_encoder,
+    make_encoder,
     tokens_of,
 )
 from exporters.encoder_parity import EmbeddingReport
@@ -100,11 +100,7 @@ def load_detector(folder: Path) -> tuple[Owlv2Detector, ClipTextTower]:
 
 
 def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
-    """Make all files and cards that were asked for; return the parity by card, None if unknown.
-
-    Raises:
-        ExportError: the folder or the images cannot be used, or a parity misses its limits.
-    """
+    """Make all files and cards that were asked for; return the parity by card, None if unknown."""
     wanted = precisions_to_make(args, LIMITS, "OWLv2")
     detector, tower = load_detector(args.weights)
     tokenizer = args.cache / f"{args.card}-tokenizer.json"
@@ -117,7 +113,8 @@ def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
         detect_card, text_card = cards = make_cards(args, precision, detector, tower)
         words, tokens = _prompts(TextCard.model_validate(text_card), args)
         prompts = TextEmbeddings(words, embed_torch(tower, [tokens]))
-        reports[text_card["name"]] = make_text_encoder(text_card, tower, tokens, digest, args)
+        texts = [row[None] for row in tokens]
+        reports[text_card["name"]] = make_encoder(text_card, tower, texts, texts, digest, args)
         reports[detect_card["name"]] = _make_detector(detect_card, detector, prompts, digest, args)
         for card in cards:
             write_card(card, args.cache)

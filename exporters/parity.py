@@ -99,9 +99,6 @@ def compare(
     """Run both models over images (1, 3, H, W), and compare their detections.
 
     `txt_feats` are (1, n, 512) embeddings of the prompts.
-
-    Raises:
-        ExportError: a model returns values that are not finite.
     """
     count = matched = wanted = found = 0
     errors: list[np.ndarray] = []

@@ -130,11 +130,10 @@ def calibration_feeds(
     images: list[Path],
     text: TextEmbeddings,
     hw: tuple[int, int],
-    seed: int = 0,
     border: Border = CENTRED,
 ) -> list[Feed]:
     """Return one feed per image, alternately with all prompts and with a random few."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     feeds = []
     for index, path in enumerate(with_progress("pictures: read", images)):
         rows = np.arange(len(text.names))
@@ -269,17 +268,15 @@ def require_calibration(calibration: Path | None, name: str) -> None:
 
 
 def pictures(calibration: Path | None, validation: Path | None) -> tuple[list[Path], list[Path]]:
-    """Return images to calibrate on and images to measure on; empty without a folder."""
-    if calibration is not None:
-        return split_images(calibration, validation)
-    return [], [] if validation is None else list_images(validation)
+    """Return images to calibrate on and images to measure on; empty without a folder.
 
-
-def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path], list[Path]]:
-    """Return images to calibrate on and to measure on: of two folders, or of one that is split."""
-    images = list_images(calibration)
+    One folder for both is split.
+    """
+    images = [] if calibration is None else list_images(calibration)
     if validation is not None:
         return images, list_images(validation)
+    if calibration is None:
+        return [], []
     held_out = images[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY]
     if not held_out:
         raise ExportError(

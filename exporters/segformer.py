@@ -66,11 +66,7 @@ class Scores(nn.Module):
 
 
 def export(args: Any) -> dict[str, PixelReport | None]:
-    """Make all files and cards that were asked for; return the parity by card, None if unknown.
-
-    Raises:
-        ExportError: the folder or the images cannot be used, or a parity misses its limits.
-    """
+    """Make all files and cards that were asked for; return the parity by card, None if unknown."""
     from transformers import SegformerForSemanticSegmentation
 
     wanted = precisions_to_make(args, LIMITS, "SegFormer")

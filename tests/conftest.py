@@ -70,8 +70,7 @@ from small_house import small_house
 from edge.lab.eval.arms import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import make_episode, sensing_settings
-from edge.lab.eval.trajectory_metrics import trajectory_scores
-from edge.geometry import Grid
+from edge.lab.eval.trajectory_metrics import frechet_m, ndtw
 with tempfile.TemporaryDirectory() as folder:
     config = small_house(Path(folder), sensors={"lidar": {}})
     world = config.sim.world.model_dump()
@@ -79,7 +78,7 @@ with tempfile.TemporaryDirectory() as folder:
     outcome = run_episode(make_arms(config, {"own": {}})[0], episode, in_process, Path(folder))
     assert outcome.success, outcome
 a_m = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 3.0]])
-trajectory_scores(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
+frechet_m(a_m, a_m[::2] + 0.1), ndtw(a_m, a_m[::2] + 0.1)
 """
 PERCEPTION = """
 from edge.config import MappingConfig

@@ -122,7 +122,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--workers", type=count, default=cores(),
            help="number of processes (default: one for each core)")
     option("--out", type=Path, default=Path("planning-report"), metavar="DIR",
-           help="folder for plots and results.json (default: ./%(default)s)")
+           help="folder for results.json (default: ./%(default)s)")
     planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", extra="lab"))
 
 

@@ -88,11 +88,7 @@ def save(path: Path, state: dict[str, Any], run: Run, step: int, seconds: float)
 
 
 def averaged(path: Path, model: nn.Module) -> dict[str, Any]:
-    """Load a run's averaged weights into `model`, for inference; return the checkpoint.
-
-    Raises:
-        ExportError: `path` is no checkpoint.
-    """
+    """Load a run's averaged weights into `model`, for inference; return the checkpoint."""
     checkpoint = load(path)
     model.load_state_dict(checkpoint["averaged"])
     model.eval().requires_grad_(False)

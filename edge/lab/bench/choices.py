@@ -101,9 +101,6 @@ def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
 
     Returns:
         The exit status: 0, or 1 if no model could run.
-
-    Raises:
-        UserError: an option cannot be used.
     """
     rows = compare(family, args, pictures)
     print(machine.summary(machine.describe()))
@@ -116,11 +113,7 @@ def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
 
 
 def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> list[Row]:
-    """Return one row for each choice model of a family on each provider.
-
-    Raises:
-        UserError: an option cannot be used.
-    """
+    """Return one row for each choice model of a family on each provider."""
     cards = [c for c in all_cards() if isinstance(c, DirectionsCard) and c.family == family]
     cards.sort(key=lambda card: (card.precision != REFERENCE, card.name))
     views = views_of(pictures)
@@ -128,7 +121,7 @@ def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> lis
     if args.threads is not None:
         settings = settings.model_copy(update={"threads": args.threads})
     results = [
-        (card, on, _measure(card, settings.model_copy(update=_settings_of(card, on)), views))
+        (card, on, _measure(card, on, settings, views))
         for on in providers_here(args.providers)
         for card in cards
         if on in ("cpu", "cuda") and runs_on(card, on)
@@ -141,11 +134,6 @@ def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> lis
 def any_ran(rows: Sequence[Row]) -> bool:
     """Return True if at least one row has figures."""
     return any("why" not in row for row in rows)
-
-
-def _settings_of(card: DirectionsCard, on: str) -> dict[str, object]:
-    """Return the settings that differ between the variants."""
-    return {"card": card.name, "providers": PROVIDERS[on]}
 
 
 def views_of(pictures: BenchFrames) -> list[MarkedView]:
@@ -217,11 +205,12 @@ def correct_marks(remaining_m: np.ndarray) -> np.ndarray:
 
 
 def _measure(
-    card: DirectionsCard, settings: ChoiceOnnx, views: list[MarkedView]
+    card: DirectionsCard, on: str, settings: ChoiceOnnx, views: list[MarkedView]
 ) -> ChoiceMeasurement | str:
-    """Return the measurement, or one line of text that says why there is none."""
+    """Return the measurement of a card, or one line of text that says why there is none."""
     if not card.is_here():
         return f"not here: {install_hint(card)}"
+    settings = settings.model_copy(update={"card": card.name, "providers": PROVIDERS[on]})
     return run_isolated(MEASURE, ChoiceJob(settings, views), _LOAD_S + _VIEW_S * len(views))
 
 

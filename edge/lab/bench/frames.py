@@ -64,9 +64,6 @@ def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]])
 
     The camera is the configured one, scaled up to the largest model input, so that no model gets an
     enlarged image.
-
-    Raises:
-        edge.lab.sim.base.WorldError: the world cannot be loaded.
     """
     camera = config.sensors.camera
     fits = [min(h / camera.height_px, w / camera.width_px) for h, w in inputs_hw]

@@ -104,11 +104,7 @@ def _footnotes(report: Report) -> list[str]:
 
 
 def save_report(report: Report, also: Path | None) -> str:
-    """Write the report into the cache, and also to `also` if given; return the paths as text.
-
-    Raises:
-        UserError: a file cannot be written.
-    """
+    """Write the report into the cache, and also to `also` if given; return the paths as text."""
     stamp = report["date"][:19].replace(":", "").replace("-", "").replace("T", "-")
     paths = [resources.cache_dir() / "bench" / f"{report['family']}-{stamp}.json"]
     paths += [also] if also is not None else []

@@ -60,9 +60,6 @@ def make_arms(config: Config, settings_by_name: Mapping[str, Data]) -> list[Expe
     """Check and build the arms of these settings, by name; without any, `config` is the only arm.
 
     The key `config` in an arm's settings names another configuration to change.
-
-    Raises:
-        ConfigError: an arm's settings do not give a valid configuration.
     """
     by_name = settings_by_name or {config.policy.kind: {}}
     return [_make_arm(name, config, dict(settings)) for name, settings in by_name.items()]

@@ -87,9 +87,6 @@ def config_of(arm: ExperimentArm, episode: Episode) -> Config:
 
     It runs in lockstep, with every model in the service's process and on one thread, so that the
     result does not depend on real time.
-
-    Raises:
-        ConfigError: the episode's world or sensors are not valid in a configuration.
     """
     data = merged(arm.base, episode.sensing, arm.settings, LOCKSTEP, episode.settings)
     data["sim"]["world"] = episode.world

@@ -317,11 +317,7 @@ def _draw(episodes: list[Episode], count: int | None, seed: int, name: str) -> l
 
 
 def write(path: Path, episodes: Iterable[Episode]) -> None:
-    """Write one JSON line for each episode.
-
-    Raises:
-        FileError: the file cannot be written.
-    """
+    """Write one JSON line for each episode."""
     save(path, "".join(f"{json.dumps(asdict(episode))}\n" for episode in episodes).encode())
 
 

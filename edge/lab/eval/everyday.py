@@ -97,12 +97,7 @@ class EverydayScore:
 
 
 def everyday_cases(path: Path) -> list[dict[str, Any]]:
-    """Read the sentences.
-
-    Raises:
-        FileError: the file cannot be read.
-        UserError: a line is not a sentence.
-    """
+    """Read the sentences."""
     return read_lines(path, MAX_TEXT_BYTES, _parse_case, "a sentence", "see docs/language.md")
 
 

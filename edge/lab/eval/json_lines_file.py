@@ -1,19 +1,20 @@
-"""Files of JSON lines: an evaluation's episodes, and its results, appended as they come."""
+"""JSON of evaluations: figures as data, and files of JSON lines, appended as they come."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import asdict
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
-from edge.lab.eval.json_data import json_data
 from edge.text import one_line, read_json_object
 
 MAX_BYTES = 1 << 30
@@ -21,6 +22,28 @@ MAX_BYTES = 1 << 30
 T = TypeVar("T")
 Parser = Callable[[dict[str, Any]], T]
 """Makes an item from a JSON object. Raises KeyError, TypeError or ValueError if it cannot."""
+
+
+def json_data(value: Any, digits: int | None = None) -> Any:
+    """Return data that `json.dumps` takes: named tuples become objects, inf and NaN null.
+
+    Numbers are rounded to `digits` after the point; None: not at all.
+
+    Example:
+        >>> json_data({"rate": (0.12345, float("nan"))}, digits=2)
+        {'rate': [0.12, None]}
+    """
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, dict):
+        return {str(key): json_data(item, digits) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_data(item, digits) for item in value]
+    if isinstance(value, (float, np.floating)):
+        if not math.isfinite(value):
+            return None
+        return float(value) if digits is None else round(float(value), digits)
+    return value
 
 
 def parser_of(kind: type[T]) -> Parser[T]:

@@ -227,9 +227,7 @@ def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
     is_solid = np.isin(np.arange(1 << 16), [label for label in OBJECT_NAMES if label < MOVING])
     ground, solid = [np.empty((0, 3))], [np.empty((0, 3))]
     for frame in frames:
-        seen = frame.observation
-        T = seen.T_map_base @ seen.T_base_lidar
-        points_m = seen.cloud_m @ T[:3, :3].T + T[:3, 3]
+        points_m = cloud_in_map(frame.observation)
         ground.append(
             downsample(points_m[frame.ground_kind > 0].astype(np.float32)).astype(np.float64)
         )
@@ -241,6 +239,12 @@ def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
     height_m = found_m[:, 2] - floor_m[nearest, 2]
     low_m, high_m = OUTDOORS.obstacle_min_m, OUTDOORS.obstacle_max_m
     return found_m[(height_m >= low_m) & (height_m <= high_m), :2]
+
+
+def cloud_in_map(seen: Observation) -> np.ndarray:
+    """Return the points of the cloud in `map`, (n, 3) float64."""
+    T = seen.T_map_base @ seen.T_base_lidar
+    return seen.cloud_m @ T[:3, :3].T + T[:3, 3]
 
 
 def label_pipeline(frames: Sequence[KittiFrame]) -> PerceptionPipeline:
@@ -295,24 +299,6 @@ def true_boxes(frame: KittiFrame) -> Detections:
     )  # fmt: skip
 
 
-def kitti_scene(
-    folder: Path,
-    numbers: Sequence[int],
-    pipeline: PerceptionPipeline | None = None,
-    by_labels: bool = True,
-) -> Scene:
-    """Build the scene of some frames of a sequence, at the time of the last.
-
-    The objects come from `pipeline`; without one, from the labels (`label_pipeline`). The regions
-    are the labels' kinds of ground, or, if not `by_labels`, ground that is flat and connected.
-
-    Raises:
-        KittiError: see `read_frame`; or `numbers` is empty.
-    """
-    frames = read_frames(folder, numbers)
-    return scene_of(frames, pipeline or label_pipeline(frames), CAR_RADIUS_M, by_labels)
-
-
 def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[KittiFrame]:
     """Read some frames of a sequence; see `read_frame`.
 
@@ -327,11 +313,16 @@ def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> 
 
 def scene_of(
     frames: Sequence[KittiFrame],
-    pipeline: PerceptionPipeline,
-    radius_m: float,
-    by_labels: bool = True,
+    pipeline: PerceptionPipeline | None = None,
+    radius_m: float = CAR_RADIUS_M,
 ) -> Scene:
-    """Build the scene of some frames, at the time of the last."""
+    """Build the scene of some frames, at the time of the last.
+
+    The objects come from `pipeline`, and the regions are ground that is flat and connected. Without
+    a pipeline, objects and kinds of ground come from the labels.
+    """
+    by_labels = pipeline is None
+    pipeline = label_pipeline(frames) if pipeline is None else pipeline
     builder = SceneBuilder(pipeline, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
         builder.add(frame.observation, frame.ground_kind if by_labels else None)

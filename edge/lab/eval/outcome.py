@@ -137,12 +137,7 @@ def crashed_outcome(
 
 
 def read_outcomes(path: Path) -> list[EpisodeOutcome]:
-    """Read the outcomes of a file, without a last line that was not written to its end.
-
-    Raises:
-        FileError: the file cannot be read.
-        UserError: a line is not an outcome.
-    """
+    """Read the outcomes of a file, without a last line that was not written to its end."""
     advice = "`edge eval episodes --out DIR` writes this file"
     return read_lines(
         path, MAX_BYTES, parser_of(EpisodeOutcome), "an outcome", advice, "remove the line",

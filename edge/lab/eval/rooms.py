@@ -134,11 +134,7 @@ def worlds_of(config: Config, specs: list[str]) -> Iterator[tuple[Config, World]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge eval rooms`.
-
-    Raises:
-        UserError: a world or the configuration cannot be used.
-    """
+    """Handle `edge eval rooms`."""
     data = data_of(load(args.config))
     data["perception"]["detector"] = {"kind": "sim"}
     config = parse(data, args.config)

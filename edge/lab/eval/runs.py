@@ -57,9 +57,6 @@ def run_all(
 
     Returns:
         Outcomes in the order of episodes and arms; fewer if the run was stopped early.
-
-    Raises:
-        UserError: `out` cannot be used.
     """
     file = None if out is None else OutcomeFile(out)
     known = {} if file is None else file.known

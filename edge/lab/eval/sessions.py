@@ -185,7 +185,7 @@ class _Session:
             shortest_m=shortest_m, goals=(),
         )  # fmt: skip
         self._sink.logger = logger = GroundTruthLogger(
-            config, self._world, lambda stamp_ns: _since(base, truth_of(loop))
+            config, self._world, lambda stamp_ns: _counted_from(base, truth_of(loop))
         )
         step_to_end(loop, self._stop)
         latency = loop.service.latency.report()
@@ -227,7 +227,7 @@ class _Session:
         return round(left_m, 4)
 
 
-def _since(base: GroundTruth, truth: GroundTruth) -> GroundTruth:
+def _counted_from(base: GroundTruth, truth: GroundTruth) -> GroundTruth:
     """Return the ground truth with path and contacts counted from an earlier one."""
     return truth._replace(
         path_m=truth.path_m - base.path_m,

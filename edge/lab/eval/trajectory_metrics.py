@@ -1,9 +1,12 @@
-"""Scores of a trajectory against its reference (OpenNav IV): end, shape and collisions."""
+"""Scores of a trajectory against its reference: OpenNav's tables I and II, and true collisions.
+
+Trajectories are (n, 2) float64 in `map`, n >= 1; a refused one is the robot's place. An occupancy
+grid has int8 cells, 100 for occupied.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,44 +21,6 @@ SPACING_M = 0.5
 """NDTW compares points at this distance, however densely a trajectory was sampled."""
 FRECHET_M = 0.02
 """The Fréchet distance compares points at this distance."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrajectoryScores:
-    """The scores of a trajectory against its reference.
-
-    Attributes:
-        success: it ends within `REACHED_M` (1 m) of the reference's end.
-        error_m: navigation error, the distance between the ends.
-        frechet_m: Fréchet distance.
-        ndtw: normalised dynamic time warping; 1 for the same trajectory.
-        contacts: number of collisions.
-    """
-
-    success: bool
-    error_m: float
-    frechet_m: float
-    ndtw: float
-    contacts: int
-
-
-def trajectory_scores(
-    path_m: np.ndarray, reference_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0
-) -> TrajectoryScores:
-    """Return all of OpenNav's scores of one trajectory (tables I and II).
-
-    Both trajectories are (n, 2) float64 in `map`, n >= 1; a refused one is the robot's place. The
-    occupancy has int8 cells, 100 for occupied. An obstacle within `clearance_m`, the robot's
-    radius, is a collision.
-    """
-    error_m = navigation_error_m(path_m, reference_m)
-    return TrajectoryScores(
-        success=error_m <= REACHED_M,
-        error_m=error_m,
-        frechet_m=frechet_m(path_m, reference_m),
-        ndtw=ndtw(path_m, reference_m),
-        contacts=contacts(path_m, occupancy, clearance_m),
-    )
 
 
 def navigation_error_m(path_m: np.ndarray, reference_m: np.ndarray) -> float:
@@ -101,9 +66,9 @@ def resample_evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
 
 
 def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> int:
-    """Count the stretches of a path in, or within `clearance_m` of, an occupied cell.
+    """Count the collisions: stretches of a path in, or within `clearance_m` of, an occupied cell.
 
-    Outside the map, nothing is occupied.
+    `clearance_m` is the robot's radius. Outside the map, nothing is occupied.
     """
     points = resample(_points(path_m), 0.25 * occupancy.resolution_m)
     cells = np.floor(occupancy.to_cells(points)).astype(np.int64)

@@ -83,11 +83,7 @@ def _table(path: Path, what: str) -> Iterator[io.TextIOWrapper]:
 
 
 def lang2ltl_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
-    """Read the utterances whose formulas a mission can fulfil, and count the others by pattern.
-
-    Raises:
-        UserError: the file cannot be read or has another form.
-    """
+    """Read the utterances whose formulas a mission can fulfil, and count the others by pattern."""
     cases: list[TranslationCase] = []
     left_out: Counter[str] = Counter()
     with _table(path, "Lang2LTL's table") as file:
@@ -104,9 +100,6 @@ def clean_up_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
     """Read the sentences that name the rooms of their formulas, and count the others by pattern.
 
     "The blue" becomes "the blue room". The others name other rooms, or an object to carry.
-
-    Raises:
-        UserError: the file cannot be read or has another form.
     """
     cases: list[TranslationCase] = []
     left_out: Counter[str] = Counter()
@@ -133,9 +126,6 @@ def custom_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
     A row is a sentence in double quotes, as in JSON, and a JSON list of the correct formulas. An
     empty list among them allows the translator to refuse or ask. Without a formula, any formula is
     wrong.
-
-    Raises:
-        UserError: the file cannot be read or has another form.
     """
     cases: list[TranslationCase] = []
     left_out: Counter[str] = Counter()

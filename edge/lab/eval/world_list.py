@@ -37,9 +37,6 @@ def world_sections(specs: Sequence[str]) -> list[WorldSection]:
     Each spec has a form of `WORLD_FORMS`: houses of a ProcTHOR file by position, generated houses
     by seed, both also with textured furniture, a built-in house or a house's file, or a mesh with
     its objects.
-
-    Raises:
-        UserError: a spec has another form, or its range is empty.
     """
     return [section for spec in specs for section in _sections_of(spec, spec)]
 
@@ -96,11 +93,7 @@ def worlds(config: Config, specs: Sequence[str]) -> Iterator[tuple[Config, World
 
 
 def load(config: Config) -> World:
-    """Load the world of a configuration. The last ones stay in memory.
-
-    Raises:
-        edge.lab.sim.base.WorldError: see `load_world`.
-    """
+    """Load the world of a configuration. The last ones stay in memory."""
     # All that a world depends on: its file, and also the robot's height and the camera's depths.
     cache_key = config.model_dump(mode="json", include={"robot", "sensors", "sim", "perception"})
     cache_key["sim"] = {"world": cache_key["sim"]["world"]}

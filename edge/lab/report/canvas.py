@@ -71,7 +71,7 @@ def page(width_px: float, height_px: float) -> Axes:
 
 
 def plots(
-    size_in: tuple[float, float], dpi: int, columns: int = 1, rows: int = 1
+    size_in: tuple[float, float], columns: int = 1, rows: int = 1, dpi: int = 150
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with empty axes for plots, row by row, with a grid and no frame."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -149,11 +149,7 @@ def content(figure: Figure, kind: str, **options: Any) -> bytes:
 def save_plots(
     figures: Mapping[str, Figure], folder: Path, kinds: Sequence[str] = ("svg", "png")
 ) -> list[Path]:
-    """Write figures by name as files of each kind, and return the files.
-
-    Raises:
-        FileError: a file cannot be written.
-    """
+    """Write figures by name as files of each kind, and return the files."""
     paths = []
     for kind in kinds:
         for name, figure in figures.items():

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from itertools import zip_longest
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from edge.lab.report import gantt, palette
+from edge.lab.report import palette
 from edge.lab.report.record import RunRecord
 from edge.text import shorten
 
@@ -19,6 +21,27 @@ Rect = tuple[float, float, float, float]
 """(left, bottom, width, height), in fractions of the figure."""
 
 
+class PursuitInterval(NamedTuple):
+    """Time in which one target was pursued, since the start of the run."""
+
+    label: str
+    start_s: float
+    end_s: float
+
+
+def pursuit_intervals(record: RunRecord) -> list[PursuitInterval]:
+    """Return the intervals in which targets were pursued, in order; the last has no end (inf)."""
+    begins = [event for event in record.steps if event.kind in ("target", "end")]
+    return [
+        PursuitInterval(
+            event.label, record.seconds(event.stamp_ns),
+            math.inf if after is None else record.seconds(after.stamp_ns),
+        )
+        for event, after in zip_longest(begins, begins[1:])
+        if event.kind == "target"
+    ]  # fmt: skip
+
+
 def is_coloured_by_target(record: RunRecord) -> bool:
     """Return True if several targets were pursued, and there is a colour for each.
 
@@ -27,7 +50,7 @@ def is_coloured_by_target(record: RunRecord) -> bool:
     """
     if record.task is not None:
         return False
-    pursued = {interval.label for interval in gantt.pursuit_intervals(record)}
+    pursued = {interval.label for interval in pursuit_intervals(record)}
     return len(pursued) > 1 and len(record.targets) <= len(palette.TARGETS)
 
 
@@ -53,7 +76,7 @@ def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
 
 def _colours(record: RunRecord) -> list[str]:
     """Return one colour for each segment of the path, by the time of its end."""
-    intervals = gantt.pursuit_intervals(record)
+    intervals = pursuit_intervals(record)
     starts_s = np.array([interval.start_s for interval in intervals])
     # Index of the last interval that began before each segment's end; -1 for none.
     at = np.searchsorted(starts_s, record.trajectory_t_s[1:], side="right") - 1

@@ -9,6 +9,7 @@ import numpy as np
 from edge.geometry import downsample
 from edge.lab.report import legend, marks, palette, path_plot, raster, tasks
 from edge.lab.report.canvas import content
+from edge.lab.report.path_plot import Rect
 from edge.lab.report.record import RunRecord
 from edge.text import shorten
 
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Rect = tuple[float, float, float, float]
-"""(left, bottom, width, height), in fractions of the figure."""
 DPI = 110
 MAP_IN = (9.1, 8.3)  # largest width and height of the map
 LEFT_IN, TOP_IN, BOTTOM_IN = 0.4, 1.0, 0.45  # margins of the map

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from edge.lab.report import automaton_graph, canvas, gantt
+from edge.lab.report import automaton_graph, canvas
 from edge.lab.report.record import RunRecord
 from edge.live.automaton_graph import make_automaton_graph
 from edge.loop.result import MissionFacts
@@ -32,8 +32,8 @@ def section(record: RunRecord) -> str:
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd{_class(k)}>{escape(shorten(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
-    drawings = "" if record.has_single_target else _timeline(record) + _automaton(facts)
-    return f'<section><h2>Mission</h2><dl class="story">{rows}</dl>{drawings}</section>'
+    drawing = "" if record.has_single_target else _automaton(facts)
+    return f'<section><h2>Mission</h2><dl class="story">{rows}</dl>{drawing}</section>'
 
 
 def _steps_left(facts: MissionFacts) -> tuple[str, ...]:
@@ -43,14 +43,6 @@ def _steps_left(facts: MissionFacts) -> tuple[str, ...]:
 
 def _class(key: str) -> str:
     return ' class="formula"' if key == "formula" else ""
-
-
-def _timeline(record: RunRecord) -> str:
-    """Return the mission's Gantt chart; empty if there is nothing to show."""
-    axes = gantt.draw(record)
-    if axes is None:
-        return ""
-    return f'<div class="drawing">{canvas.img(axes, gantt.in_words(record))}</div>'
 
 
 def _automaton(facts: MissionFacts) -> str:

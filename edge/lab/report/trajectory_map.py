@@ -70,7 +70,7 @@ def png(
     legend_rows = math.ceil(max(map(len, legends[:panels])) / _LEGEND_COLUMNS[columns])
     # 0.41: title and axis numbers.
     high_in += 0.41 + _LEGEND_ROW_IN * max(legend_rows, 2)
-    figure, all_axes = canvas.plots((WIDTH_IN, rows * high_in), DPI, columns, rows)
+    figure, all_axes = canvas.plots((WIDTH_IN, rows * high_in), columns, rows, DPI)
     for axes in all_axes:
         axes.set_xlim(box[:2])
         axes.set_ylim(box[2:])

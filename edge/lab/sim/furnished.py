@@ -100,14 +100,10 @@ class PlacedModel:
 
     def holds(self, x_m: float, y_m: float) -> bool:
         """Return True if a point of `map` is within its footprint."""
-        x, y = self.to_local(x_m, y_m)
-        return abs(x) <= 0.5 * self.size_m[0] and abs(y) <= 0.5 * self.size_m[1]
-
-    def to_local(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Return a point of `map` as distances ahead of the model's middle and to its left."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
-        return c * dx + s * dy, c * dy - s * dx
+        ahead_m, left_m = c * dx + s * dy, c * dy - s * dx
+        return abs(ahead_m) <= 0.5 * self.size_m[0] and abs(left_m) <= 0.5 * self.size_m[1]
 
     def to_map(self, ahead_m: float, left_m: float) -> tuple[float, float]:
         """Return x and y in `map` of a point ahead of the model's middle and to its left."""
@@ -116,11 +112,7 @@ class PlacedModel:
 
 
 def load_furnished(section: WorldFurnished, config: Config) -> MeshWorld:
-    """Load a house, furnished with the models of a catalogue; a seed gives the same everywhere.
-
-    Raises:
-        WorldError: an extra is not installed, or the catalogue or the house cannot be read.
-    """
+    """Load a house, furnished with the models of a catalogue; a seed gives the same everywhere."""
     require_packages(config)
     plan = section.house
     house = (  # its furniture is made of boxes

@@ -243,11 +243,7 @@ class PeopledWorld:
 
 
 def with_people(world: World, config: Config, start: SE2) -> World:
-    """Return the world with `sim.people` people and `sim.doors` in it; without any, the world.
-
-    Raises:
-        WorldError: no free floor for people, or `sim.doors` in a mesh.
-    """
+    """Return the world with `sim.people` people and `sim.doors` in it; without any, the world."""
     doors = make_doors(world, config.sim.doors, config.sim.seed, start)
     return PeopledWorld(world, config, start, doors) if config.sim.people or doors else world
 

@@ -38,11 +38,7 @@ _POLL_S = 0.0005  # pause between two looks for a command, in lockstep
 
 
 def main(config: Config, stop: threading.Event) -> int:
-    """Simulate the configured robot in its world until `stop` is set; return the exit status.
-
-    Raises:
-        edge.errors.UserError: the world cannot be loaded, or the start is not free.
-    """
+    """Simulate the configured robot in its world until `stop` is set; return the exit status."""
     world = load_world(config)
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
     world = with_people(world, config, world.start)

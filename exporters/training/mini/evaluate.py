@@ -1,7 +1,5 @@
 """Evaluation of a small detector on held-out houses.
 
-    python -m exporters.training.mini.evaluate MODEL.onnx [--text TEXT.onnx]
-
 It measures three quantities. First, the average precision at IoU 0.5 of each category, for
 objects of at least 12 px that are half visible. Second, questions about two objects of a category
 in one image (which one is the red chair?): the share of phrases that score higher on the right one.
@@ -10,8 +8,6 @@ Third, the latency.
 
 from __future__ import annotations
 
-import sys
-import tempfile
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,10 +16,9 @@ from pathlib import Path
 import numpy as np
 from onnxruntime import InferenceSession
 
-from edge.cli.options import Parser
 from edge.config import PerceptionConfig
 from edge.lab.bench.boxes import overlaps
-from exporters.files import ExportError, exit_on_user_error
+from exporters.files import ExportError
 from exporters.images import as_input
 from exporters.onnx_format import cpu_session
 from exporters.training.mini import looks
@@ -50,6 +45,8 @@ TOLD_APART = ("color", "size")
 image cuts off ("cut_off_size") are not among them: the answer is a guess."""
 FLOORS = {"ap50": 0.7, "pairs_told_apart": 0.8}
 """Smallest allowed values of a card's figures on held-out houses."""
+TIMED = 150
+"""Runs for the latency measurement."""
 MAX_BYTES = 2_900_000
 """Largest size of the INT8 file."""
 
@@ -269,11 +266,11 @@ def _average_precision(found: list[tuple[float, int]], count: int) -> float:
 
 
 def _latency(
-    detector: InferenceSession, frames: Frames, features: np.ndarray, runs: int = 150
+    detector: InferenceSession, frames: Frames, features: np.ndarray
 ) -> tuple[float, float]:
     """Return median and 95th percentile [ms] of the detector's runs with these text features."""
-    feeds = [{"images": as_input(rgb), "txt_feats": features} for rgb in frames.rgb[:runs]]
-    took = took_ms(lambda index: detector.run(None, feeds[index % len(feeds)]), runs)
+    feeds = [{"images": as_input(rgb), "txt_feats": features} for rgb in frames.rgb[:TIMED]]
+    took = took_ms(lambda index: detector.run(None, feeds[index % len(feeds)]), TIMED)
     return took["p50_ms"], took["p95_ms"]
 
 
@@ -289,27 +286,3 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
             f"model not published: {'; '.join(faults)}; train on with the same command, or give "
             "--no-gate"
         )
-
-
-@exit_on_user_error
-def main(argv: list[str] | None) -> None:
-    """Parse the command line, measure a model, and print its figures."""
-    # fmt: off
-    parser = Parser(prog="python -m exporters.training.mini.evaluate", description="measure the "
-                    "small detector on images of houses that it was not trained on")
-    option = parser.add_argument
-    option("model", type=Path, help="the detector's ONNX file")
-    option("--text", type=Path,
-           help="the text encoder's ONNX file (default: mini-house-text.onnx next to the model)")
-    option("--data", type=Path,
-           help="folder to keep the rendered images in (default: they are deleted)")
-    # fmt: on
-    args = parser.parse_args(argv)
-    text = args.text or args.model.with_name("mini-house-text.onnx")
-    with tempfile.TemporaryDirectory() as scratch:
-        frames = held_out_frames(args.data or Path(scratch))
-        print(measure(args.model, text, frames).table())
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,10 +13,11 @@ from edge.lab.eval.kitti import (
     GROUND_LABELS,
     KittiError,
     frames_in,
-    kitti_scene,
     objects_in,
     objects_shown,
     read_frame,
+    read_frames,
+    scene_of,
     solid_m,
     true_boxes,
 )
@@ -44,7 +45,7 @@ def test_without_labels_there_are_the_camera_and_the_scan(tmp_path):
 
 def test_no_frame_chosen(tmp_path):
     with pytest.raises(KittiError, match=r"no frame chosen; choose some of \[0\]"):
-        kitti_scene(write(tmp_path), [])
+        read_frames(write(tmp_path), [])
 
 
 def test_a_frame_has_the_poses_of_its_sensors(tmp_path):
@@ -69,7 +70,7 @@ def test_rubbish_in_a_scan_is_left_out(tmp_path, rubbish):
     scan.tofile(path)
     frame = read_frame(folder, 0)
     assert len(frame.observation.cloud_m) == len(frame.semantic) == 0.8 * len(scan)
-    (car,) = kitti_scene(folder, [0]).objects.values()
+    (car,) = scene_of([frame]).objects.values()
     np.testing.assert_allclose(car.position_m, [10.1, 0.0, 0.83], atol=0.25)
 
 
@@ -183,7 +184,7 @@ def test_masks_have_the_points_that_the_labels_give_them(sequence):
 
 def test_a_real_street_becomes_a_scene(sequence):
     """The advertising pillar, the van behind it and the hedge, after five frames."""
-    scene = kitti_scene(sequence, frames_in(sequence))
+    scene = scene_of(read_frames(sequence, frames_in(sequence)))
     assert scene.pose.x_m == pytest.approx(4.53, abs=0.05)
     labels = [obj.label for obj in scene.objects.values()]
     for label in ("car", "truck", "building", "bush", "pole", "sign"):

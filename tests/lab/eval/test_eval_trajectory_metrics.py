@@ -19,7 +19,6 @@ from edge.lab.eval.trajectory_metrics import (
     ndtw,
     point_contacts,
     resample_evenly,
-    trajectory_scores,
 )
 from edge.trajectory.smoothing import resample
 
@@ -96,15 +95,6 @@ def test_contacts(a, clearance_m, expected):
     grid = Grid(np.zeros((100, 100), np.int8), (-10.0, -10.0), 0.2)
     grid.cells[45:55, 45:55] = 100  # from -1 to 1
     assert contacts(path(a), grid, clearance_m) == expected
-
-
-@pytest.mark.parametrize(("end", "success"), [((9.0, 0.0), True), ((8.9, 0.0), False)])
-def test_success_ends_within_a_metre(end, success):
-    empty = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.2)
-    got = trajectory_scores(path([[0, 0], end]), path(LINE), empty)
-    assert (got.success, got.error_m, got.contacts) == (success, pytest.approx(10 - end[0]), 0)
-    assert got.frechet_m == pytest.approx(10 - end[0])
-    assert 0.0 < got.ndtw < 1.0
 
 
 def frechet_twin(a: np.ndarray, b: np.ndarray) -> float:

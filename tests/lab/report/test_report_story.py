@@ -9,7 +9,7 @@ from report_runs import FORMULA, story_of
 from results import facts
 from test_report_page import Reader
 
-from edge.lab.report import page, picture, story
+from edge.lab.report import page, path_plot, picture, story
 from edge.mission.logic.ltl import parse
 from edge.mission.planning.plan import DEAD
 
@@ -25,10 +25,17 @@ def test_a_mission_is_explained_and_drawn(long_run):
     reader = Reader(page.html(long_run, b"png"))
     for words in ("Go to the chair or the sofa, then to the tv.", "in words (ltl)",
                   str(parse(FORMULA)), "sofa, then tv", "Automaton with 6 states, now in state 4",
-                  "The mission over time", "best views of the targets"):  # fmt: skip
+                  "best views of the targets"):  # fmt: skip
         assert words in reader.text
     assert "left to reach" not in reader.text
     assert "2reached" in reader.text
+
+
+def test_a_path_is_coloured_by_the_target_of_its_time(long_run):
+    assert path_plot.pursuit_intervals(replace(long_run, mission_facts=None)) == []
+    assert path_plot.pursuit_intervals(long_run) == [
+        ("sofa", 0.0, 6.0), ("chair", 6.0, 12.0), ("sofa", 12.0, 19.0), ("tv", 19.0, 24.0),
+    ]  # fmt: skip
 
 
 def test_a_running_mission_lists_the_targets_left(long_run):

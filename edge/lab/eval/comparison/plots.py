@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DPI = 150
 WIDTH_IN = 7.6
 MAX_NAME = 32  # characters of an arm's name
 BINS = 5  # most groups of episodes by distance
@@ -34,7 +33,7 @@ BUDGETS = 8.0  # largest path budget of the plot, in lengths of the shortest pat
 def rates(comparison: Comparison) -> Figure:
     """Plot SPL and success rate of each arm."""
     names = comparison.outcomes.arms
-    figure, (left, right) = canvas.plots((WIDTH_IN, 0.9 + 0.34 * len(names)), DPI, 2)
+    figure, (left, right) = canvas.plots((WIDTH_IN, 0.9 + 0.34 * len(names)), 2)
     for axes, key, title, scale in ((left, "spl", "SPL", 1.0), (right, "sr", "SR, %", 100.0)):
         found = [comparison.figures[name][key].interval for name in names]
         _draw_forest(axes, found, list(range(len(names))), scale, 3 if key == "spl" else 1)
@@ -48,7 +47,7 @@ def rates(comparison: Comparison) -> Figure:
 def differences(comparison: Comparison) -> Figure:
     """Plot the paired differences of SPL against the baseline."""
     outcomes, pairs = comparison.outcomes, comparison.pairs
-    figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)), DPI, 1)
+    figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)))
     rows = [outcomes.arms.index(pair.arm) for pair in pairs]
     axes.axvline(0.0, color=palette.INFLATED, linewidth=1.2, zorder=1)
     _draw_forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
@@ -61,7 +60,7 @@ def differences(comparison: Comparison) -> Figure:
 def distances(comparison: Comparison) -> Figure:
     """Plot SPL over the length of the shortest path."""
     outcomes = comparison.outcomes
-    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
+    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8))
     bins = _bins(outcomes.shortest_m)
     cluster, _ = clusters(outcomes.world)
     spl = spl_of(outcomes)
@@ -86,7 +85,7 @@ def budget(comparison: Comparison) -> Figure:
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     outcomes = comparison.outcomes
-    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
+    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8))
     at = np.geomspace(1.0, BUDGETS, 200)
     for a, name in enumerate(outcomes.arms):
         look = style_of(a)

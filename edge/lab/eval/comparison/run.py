@@ -28,11 +28,7 @@ CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge eval episodes --compare`.
-
-    Raises:
-        UserError: there are no outcomes, or no such arm; or a file cannot be read or written.
-    """
+    """Handle `edge eval episodes --compare`."""
     comparison, drawings = compare_folder(args.compare, args.baseline)
     print(text(comparison))
     content = {
@@ -85,11 +81,7 @@ def summary_text(outcomes: Iterable[EpisodeOutcome]) -> str:
 
 
 def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
-    """Read, by world, the configuration that loads it, from a file of episodes.
-
-    Raises:
-        UserError: the episodes cannot be read, or a world's section is invalid.
-    """
+    """Read, by world, the configuration that loads it, from a file of episodes."""
     configs: dict[str, Config] = {}
     index = {name: e for e, name in enumerate(outcomes.episodes)}
     for episode in episodes.read(path):
@@ -112,9 +104,6 @@ def world_data(
     Returns:
         (A, E) metres left to drive when the target was first seen, NaN if unknown; and drawings by
         world.
-
-    Raises:
-        edge.lab.sim.base.WorldError: a world cannot be loaded.
     """
     left_m = np.full(outcomes.ran.shape, np.nan)
     drawings = {}

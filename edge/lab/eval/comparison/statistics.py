@@ -222,9 +222,6 @@ def compare(
     The baseline is the first arm if none is named. `left_m` is (A, E): metres left to drive when
     the target was first seen, NaN if unknown or never (`worlds.fill_left_at_sight_m`).
     `outcomes["left_m"]` are those left at the end.
-
-    Raises:
-        UserError: there is no such arm.
     """
     base = baseline_of(outcomes, baseline)
     cluster, by_world = clusters(outcomes.world)

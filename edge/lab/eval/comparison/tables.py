@@ -20,7 +20,7 @@ from edge.lab.eval.comparison.statistics import (
     PairedDifference,
 )
 from edge.lab.eval.intervals import Interval, intervals_note
-from edge.lab.eval.json_data import json_data
+from edge.lab.eval.json_lines_file import json_data
 from edge.lab.eval.outcome import FAILURES
 from edge.text import format_table, one_line
 

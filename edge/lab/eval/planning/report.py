@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from edge.lab.eval.intervals import Interval, ratio, wilson
-from edge.lab.eval.json_data import json_data
+from edge.lab.eval.json_lines_file import json_data
 from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import OUTCOMES
 from edge.lab.eval.planning.planners import PLANNERS

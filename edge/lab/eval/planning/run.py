@@ -14,10 +14,8 @@ from edge.host.files import make_writable, save
 from edge.host.progress import ProgressBar
 from edge.lab.eval.planning import report
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.plots import figures
 from edge.lab.eval.planning.sweep import Settings, run_tasks
 from edge.lab.eval.planning.templates import generate
-from edge.lab.report import canvas
 
 JSON_NAME = "results.json"
 
@@ -46,13 +44,11 @@ def run(args: argparse.Namespace) -> int:
     seconds = time.monotonic() - began_s
     try:
         save(args.out / JSON_NAME, report.to_json(rows, tasks, settings, seconds))
-        paths = canvas.save_plots(figures(rows), args.out)
     except FileError as error:
         raise FileError(
-            f"{error}; the table above is complete; for the files, run again with another folder"
+            f"{error}; the table above is complete; for the file, run again with another folder"
         ) from None
-    print("\n".join(map(str, [args.out / JSON_NAME, *paths])))
-    print(f"{seconds:.0f} s")
+    print(f"{args.out / JSON_NAME}\n{seconds:.0f} s")
     return 0
 
 

@@ -44,11 +44,7 @@ _SETTLES_S = 2.0  # after the recovery from a fault: its samples are not yet as 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge soak` and return the exit code (see `edge.errors`).
-
-    Raises:
-        UserError: it cannot start with this configuration, faults, folder or service.
-    """
+    """Handle `edge soak` and return the exit code (see `edge.errors`)."""
     stop = stop_on_signals()
     config = load(args.config)
     faults = choose_faults(config, args.faults.split(",") if args.faults is not None else None)

@@ -103,9 +103,6 @@ def episodes(
     Each spec has a form of `PLACE_FORMS`, and at most `limit` episodes. The pipeline finds the
     objects in frames of SemanticKITTI; without one, they come from the labels. With a pipeline,
     other places are refused, as their objects are known.
-
-    Raises:
-        UserError: a spec has another form or cannot be read.
     """
     sources = [_episodes_of(spec, pipeline) for spec in specs]  # check all before the first runs
     for source in sources:
@@ -179,7 +176,7 @@ def _kitti(
     folder: Path, numbers: Sequence[int], pipeline: PerceptionPipeline | None
 ) -> Iterator[TrajectoryEpisode]:
     frames = kitti.read_frames(folder, numbers)
-    all_frames = kitti.scene_of(frames, kitti.label_pipeline(frames), kitti.CAR_RADIUS_M)
+    all_frames = kitti.scene_of(frames)
     sequence, solid_m = _sequence(folder), kitti.solid_m(frames)
     for number, frame in zip(numbers, frames, strict=True):
         scenes: dict[tuple[str, ...], Scene] = {}
@@ -187,26 +184,26 @@ def _kitti(
         for task in _draw_tasks(place, PortableRng(_KEY, number)):
             words = () if pipeline is None else named_objects(task.instruction)
             if words not in scenes:
-                scenes[words] = _kitti_scene(folder, number, pipeline, words)
+                scenes[words] = _kitti_scene(frame, pipeline, words)
             yield _episode(
                 "kitti", f"kitti-{sequence}-{number:06d}", place, task, scenes[words], solid_m
             )
 
 
 def _kitti_scene(
-    folder: Path, number: int, pipeline: PerceptionPipeline | None, words: tuple[str, ...]
+    frame: kitti.KittiFrame, pipeline: PerceptionPipeline | None, words: tuple[str, ...]
 ) -> Scene:
     """Return the scene of a frame; a pipeline looks for `words`, as in `edge trajectory`.
 
     If the pipeline lacks one of the words, it looks for its own.
     """
     if pipeline is None:
-        return kitti.kitti_scene(folder, [number])
+        return kitti.scene_of([frame])
     for_words = pipeline._replace(tags=lambda observation: words)
     try:
-        return kitti.kitti_scene(folder, [number], for_words, by_labels=False)
+        return kitti.scene_of([frame], for_words)
     except PromptError:
-        return kitti.kitti_scene(folder, [number], pipeline, by_labels=False)
+        return kitti.scene_of([frame], pipeline)
 
 
 def _sequence(folder: Path) -> str:
@@ -222,8 +219,7 @@ def kitti_place(frame: kitti.KittiFrame, all_frames: Scene, solid_m: np.ndarray)
     objects in all frames.
     """
     seen = frame.observation
-    T_map_lidar = seen.T_map_base @ seen.T_base_lidar
-    points_m = (seen.cloud_m @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3]).astype(np.float32)
+    points_m = kitti.cloud_in_map(seen).astype(np.float32)
     landmarks = []
     for label, indices in kitti.objects_shown(frame):
         if label not in _NO_NAMES:

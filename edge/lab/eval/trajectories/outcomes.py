@@ -14,6 +14,7 @@ import numpy as np
 from edge.errors import UserError
 from edge.geometry import Grid
 from edge.lab.eval.json_lines_file import JsonLinesFile
+from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.outcome import OUTCOMES_NAME
 from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.lab.eval.trajectories.methods import MethodResult
@@ -21,10 +22,13 @@ from edge.lab.eval.trajectories.references import Category
 from edge.lab.eval.trajectory_metrics import (
     contact_depth_m,
     contacts,
+    frechet_m,
+    navigation_error_m,
+    ndtw,
     point_contacts,
     resample_evenly,
-    trajectory_scores,
 )
+from edge.trajectory.pursuit import length_m
 
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance between the points of a saved path
@@ -77,7 +81,9 @@ class TrajectoryOutcome:
     Attributes:
         writer: "rules", or a model's name: what wrote the trajectory.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
-        error_m, frechet_m, ndtw: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
+        error_m: navigation error, the distance between the ends.
+        frechet_m: Fréchet distance.
+        ndtw: normalised dynamic time warping; 1 for the same trajectory.
         contacts: collisions in the scene's map, as OpenNav counts them.
         true_contacts: collisions with the true obstacles.
         refused: one of `methods.REFUSALS`; "" if there is a trajectory.
@@ -130,9 +136,8 @@ def outcome_of(
     episode: TrajectoryEpisode, method: str, writer: str, result: MethodResult
 ) -> TrajectoryOutcome:
     """Compare a method's result with the reference and the true place."""
-    path_m = result.path_m
-    occupancy, robot_m = episode.scene.occupancy, episode.robot_m
-    scores = trajectory_scores(path_m, episode.task.reference_m, occupancy, robot_m)
+    path_m, reference_m, robot_m = result.path_m, episode.task.reference_m, episode.robot_m
+    error_m = navigation_error_m(path_m, reference_m)
     # `solid_m` are the true obstacles as points; without them, the grid `truth` is exact.
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
@@ -142,15 +147,14 @@ def outcome_of(
         solid_m = episode.solid_m
     outline_m = {one.id: one.outline_m for one in episode.landmarks}[episode.task.landmarks[-1]]
     end_m, wanted_m = (
-        float(np.hypot(*(outline_m - at_m).T).min())
-        for at_m in (path_m[-1], episode.task.reference_m[-1])
+        float(np.hypot(*(outline_m - at_m).T).min()) for at_m in (path_m[-1], reference_m[-1])
     )
-    length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     return TrajectoryOutcome(
-        episode.id, method, writer, scores.success and not result.refused,
-        round(scores.error_m, 4), round(scores.frechet_m, 4), round(scores.ndtw, 4),
-        scores.contacts, true_contacts,
-        round(length_m, 2), result.refused, result.reason, round(result.seconds, 4),
+        episode.id, method, writer, error_m <= REACHED_M and not result.refused,
+        round(error_m, 4), round(frechet_m(path_m, reference_m), 4),
+        round(ndtw(path_m, reference_m), 4),
+        contacts(path_m, episode.scene.occupancy, robot_m), true_contacts,
+        round(length_m(path_m), 2), result.refused, result.reason, round(result.seconds, 4),
         _plain(resample_evenly(path_m, _DRAWN_M)),
         at_thing=not result.refused and end_m <= wanted_m + _AT_M,
         true_depth_m=round(contact_depth_m(path_m, solid_m, robot_m), 4),
@@ -158,12 +162,7 @@ def outcome_of(
 
 
 class ResultsFolder:
-    """The saved episodes and outcomes of a folder. New ones are appended.
-
-    Raises:
-        FileError: a file cannot be read or written.
-        UserError: a file has other content.
-    """
+    """The saved episodes and outcomes of a folder. New ones are appended."""
 
     def __init__(self, path: Path) -> None:
         self._episodes = JsonLinesFile(

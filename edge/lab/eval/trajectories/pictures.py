@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.lab.eval.comparison.plots import DPI
 from edge.lab.eval.trajectories.outcomes import EpisodeFacts, TrajectoryResults
 from edge.lab.eval.trajectories.references import KINDS
 from edge.lab.report import canvas, palette
@@ -31,7 +30,7 @@ def figures(results: TrajectoryResults) -> dict[str, Figure]:
     if not chosen:
         return {}
     rows = math.ceil(len(chosen) / COLUMNS)
-    figure, axes = canvas.plots((COLUMNS * SIDE_IN, rows * SIDE_IN + 0.4), DPI, COLUMNS, rows)
+    figure, axes = canvas.plots((COLUMNS * SIDE_IN, rows * SIDE_IN + 0.4), COLUMNS, rows)
     for place, ax in enumerate(axes):
         if place < len(chosen):
             _draw(ax, results, chosen[place])

@@ -44,6 +44,7 @@ from edge.lab.sim.generator.rng import PortableRng
 from edge.tasks.scene.value_map import closed_cells
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
+from edge.trajectory.pursuit import length_m
 
 KINDS = ("to", "past", "around", "then")
 """Kinds of instructions: the rows of the first table above, from the top."""
@@ -393,8 +394,7 @@ def _cheapest_path(place: ReferenceScene, segments: Sequence[np.ndarray]) -> np.
         if not plan.ok:
             return None
         piece = smoothing.smooth(costmap, plan.path_m, costmap.grid.resolution_m)
-        length_m = float(np.hypot(*np.diff(piece, axis=0).T).sum())
-        if length_m > 2.0 * math.dist(start, end) + 5.0:
+        if length_m(piece) > 2.0 * math.dist(start, end) + 5.0:
             return None
         pieces.append(piece[1:] if pieces else piece)
     here = (place.pose.x_m, place.pose.y_m)

@@ -53,11 +53,7 @@ class RunFolder:
             ) from None
 
     def save(self, outcome: TaskRun) -> None:
-        """Write all results that there are.
-
-        Raises:
-            FileError: a file cannot be written.
-        """
+        """Write all results that there are."""
         view, refined, scene = outcome.view, outcome.refined, outcome.view.scene
         self._write_picture(OBJECTS, draw_marks(scene))
         coarse_m = outcome.coarse_m

@@ -83,15 +83,17 @@ def capture_kitti(
     clearance_m, detect = config.tasks.trajectory.clearance_m, None
     last = frames[-1].observation
     if words is None:
-        scene, by = kitti.scene_of(frames, kitti.label_pipeline(frames), clearance_m), "the labels"
+        scene, by = kitti.scene_of(frames, None, clearance_m), "the labels"
     else:
         with detector_pipeline(config, words) as (pipeline, by):
-            scene = kitti.scene_of(frames, pipeline, clearance_m, by_labels=False)
+            scene = kitti.scene_of(frames, pipeline, clearance_m)
         detect = _frame_detector(last, config)
-    cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
+    cloud_m = np.concatenate([kitti.cloud_in_map(frame.observation) for frame in frames])
     frame_word = "frames" if len(numbers) > 1 else "frame"
     name = f"{folder.resolve().name}, {frame_word} {', '.join(map(str, numbers))}"
-    return SceneCapture(name, by, scene, cloud_m, float(last.T_map_base[2, 3]), detect)
+    return SceneCapture(
+        name, by, scene, cloud_m.astype(np.float32), float(last.T_map_base[2, 3]), detect
+    )
 
 
 def capture_street(seed: int, config: Config, words: Sequence[str] | None = None) -> SceneCapture:
@@ -116,7 +118,7 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     lidar.look(world.start)
     seen = camera.observation(0, 0, world.start.matrix(), lidar)
     labels = tuple(obj.label for obj in world.objects)
-    cloud_m, this_street = _in_map(seen), street(seed)
+    cloud_m, this_street = kitti.cloud_in_map(seen).astype(np.float32), street(seed)
     kinds = tuple(dict.fromkeys(ground.label for ground in this_street.grounds))
     truth = Segmentation(camera.ids, labels)
 
@@ -159,21 +161,10 @@ def detector_pipeline(
 
     It looks for `words`, in addition to the detector's `background`. A simulated detector needs the
     ground truth.
-
-    Raises:
-        UserError: there is no detector, or nothing to look for.
     """
-    with _object_pipeline(config, words, truth) as (pipeline, by):
-        yield pipeline._replace(ground=make_ground_classifier(config.tasks)), by
-
-
-@contextmanager
-def _object_pipeline(
-    config: Config, words: Sequence[str], truth: TruthAt | None
-) -> Iterator[tuple[PerceptionPipeline, str]]:
-    """Do the work of `detector_pipeline` for the objects."""
+    ground = make_ground_classifier(config.tasks)
     if (plugin := config.tasks.pipeline) is not None:
-        yield _plugin_pipeline(config, plugin, tuple(words)), plugin.kind
+        yield _plugin_pipeline(config, plugin, tuple(words))._replace(ground=ground), plugin.kind
         return
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
@@ -189,7 +180,8 @@ def _object_pipeline(
             "detect"
         )
     with open_pipeline(config.perception, words, truth) as pipeline:
-        yield pipeline, detector.model if detector.kind == "onnx" else "the simulated detector"
+        by = detector.model if detector.kind == "onnx" else "the simulated detector"
+        yield pipeline._replace(ground=ground), by
 
 
 def _plugin_pipeline(
@@ -260,9 +252,3 @@ def _ground_kind(this_street: Street, kinds: Sequence[str], cloud_m: np.ndarray)
         kind_of[ground.id] = 1 + kinds.index(ground.label)
     on_ground = np.abs(cloud_m[:, 2]) <= ON_GROUND_M
     return kind_of[this_street.ground_at(cloud_m[:, :2].astype(np.float64))] * on_ground
-
-
-def _in_map(seen: Observation) -> np.ndarray:
-    """Return the points of the cloud in `map`, (n, 3) float32."""
-    T = seen.T_map_base @ seen.T_base_lidar
-    return (seen.cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32)

@@ -19,7 +19,7 @@ from edge.tasks.scene.scene import SceneObject
 from edge.tasks.scene.value_map import PathMargins, value_map
 from edge.tasks.write import PlanAttempt, WrittenTrajectory, write_trajectory
 from edge.trajectory.costmap import CostMap
-from edge.trajectory.pursuit import MotionLimits
+from edge.trajectory.pursuit import MotionLimits, length_m
 
 GROUND_RANGE_M = 60.0  # ground farther from the robot is not estimated
 
@@ -59,7 +59,7 @@ class TaskRun:
         """Length of the refined trajectory; 0 if there is none."""
         if self.refined is None:
             return 0.0
-        return float(np.hypot(*np.diff(self.refined.poses[:, :2], axis=0).T).sum())
+        return length_m(self.refined.poses[:, :2])
 
     def steps(self) -> list[rules.InstructionStep]:
         """Return the instruction's steps as the rules read them; [] if a model writes."""

@@ -69,11 +69,7 @@ def read_names(path: Path) -> dict[str, str]:
 
 
 def save_names(path: Path, table: Iterable[tuple[str, str]]) -> None:
-    """Write the table of names, in their order.
-
-    Raises:
-        FileError: it cannot be written.
-    """
+    """Write the table of names, in their order."""
     # JSON's strings are YAML, too.
     lines = (f"{json.dumps(model)}: {json.dumps(name)}\n" for model, name in sorted(table))
     save(path, (_HEAD + "".join(lines)).encode())

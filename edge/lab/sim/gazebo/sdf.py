@@ -60,11 +60,7 @@ class SdfReader:
         self._count = 0
 
     def read(self, world: Path) -> list[ModelVisual]:
-        """Return the visuals of a world file, or of a model file.
-
-        Raises:
-            WorldError: the file itself cannot be used, or has far too much.
-        """
+        """Return the visuals of a world file, or of a model file."""
         root = self._parse(world)
         scope = root if root.find("world") is None else root.find("world")
         assert scope is not None

@@ -67,11 +67,7 @@ class ShapeLoader:
         self._script = cache(self._read_script)
 
     def shapes(self, visual: ModelVisual) -> list[VisualShape]:
-        """Return the parts of a visual.
-
-        Raises:
-            WorldError: it cannot be shown; one line.
-        """
+        """Return the parts of a visual."""
         kind = visual.geometry.tag
         if kind == "mesh":
             shapes = self._placed_mesh(visual.geometry, visual.file)
