@@ -2,7 +2,7 @@
 
     house = generated_house(7)
 
-Seeds below 1000 are for tuning, the others for evaluation. The houses come from the tables in
+Seeds below `HELD_OUT` are for tuning, the others for evaluation. The houses come from the tables in
 `layout` and `contents` only, not from ProcTHOR or another data set.
 """
 
@@ -16,6 +16,7 @@ from edge.lab.sim.generator.layout import WALL_M, WallSegment, draw_layout
 from edge.lab.sim.generator.rng import PortableRng
 from edge.lab.sim.house import House, HouseObject, Opening, Room, Wall, build_house
 
+HELD_OUT = 1000  # first seed that is for evaluation only
 _RNG_KEY = 12  # separates these random numbers from others with the same seed
 _DOOR_HEIGHT_M = 2.05
 
