@@ -17,10 +17,10 @@ from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import Masker, make_segmenter
 from edge.perception.runtime.cards import ModelError
+from edge.perception.tracking.back_projection import BackProjector
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import BackProjector
-from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.types import Detections, Observation
 
 SHARED_VOCABULARY = (
@@ -173,17 +173,17 @@ def test_sightings(benchmark):
     """Measure an update with 8 target and 20 context boxes, among about 200 known objects."""
     benchmark.extra_info["budget"] = "sightings_look_28"
     perception = config.PerceptionConfig(detector=config.DetectorSim())
-    sightings, lifter = ObjectTracker(perception), BackProjector(perception)
+    objects, lifter = ObjectTracker(perception), BackProjector(perception)
     for seed in range(20):
         lifted, _ = lifter.back_project(boxes_in(observe(seed), 20, seed))
-        sightings.update(
+        objects.update(
             lifted, lifter.back_project(boxes_in(observe(seed), 20, seed + 100, WORDS))[0]
         )
     observation = observe()
     targets, _ = lifter.back_project(boxes_in(observation, 8))
     around, _ = lifter.back_project(boxes_in(observation, 20, 2, WORDS))
-    benchmark(sightings.update, targets, around)
-    assert sightings.read_only.n > 50
+    benchmark(objects.update, targets, around)
+    assert objects.read_only.n > 50
 
 
 def test_five_thousand_objects(benchmark, against):

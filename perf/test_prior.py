@@ -16,7 +16,7 @@ from edge.mapping.view import MapView
 from edge.memory import NO_SURVEY, RoomMemory, Site, survey_rooms
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
-from edge.perception.tracking.sightings import MAX_SIGHTINGS
+from edge.perception.tracking.object_tracker import MAX_TRACKED
 from edge.perception.tracking.tracked_objects import TrackedObjects
 
 PLACES, THINGS = 100, 200
@@ -86,7 +86,7 @@ def test_kinds_of_rooms(benchmark, seen):
     """Measure the kinds of rooms with a full memory; the tick computes them once a second."""
     benchmark.extra_info["budget"] = "room_kinds_5000"
     view, table = seen[1], load()
-    sightings = objects(MAX_SIGHTINGS, table.classes)
+    sightings = objects(MAX_TRACKED, table.classes)
     memory = RoomMemory(table, make_words(table, DetectorSim()))
     memory.on_survey(survey_rooms(survey_regions(view.layers, view.window, TALL), NO_SURVEY))
 

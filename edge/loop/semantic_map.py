@@ -25,10 +25,10 @@ from edge.mapping.view import MapView
 from edge.memory import CropStore, DescribedTargets, MappedRoom, RoomMemory, Site
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
+from edge.perception.tracking.back_projection import BackProjector
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
-from edge.perception.tracking.lift import BackProjector
-from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.types import Detections, Instance, Observation
 
 _SAME_AREA_M2 = 0.5  # smallest change of a closed room's area for which it is painted again

@@ -45,7 +45,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("check", 0.2, "edge/loop/checks/plausibility.py"),
     Stage("detect", 33.0, "edge/perception", in_tick=False, deadline=True),
     Stage("map", 1.5, "edge/mapping"),
-    Stage("lift", 0.5, "edge/perception/tracking/lift.py"),
+    Stage("lift", 0.5, "edge/perception/tracking/back_projection.py"),
     Stage("candidates", 0.4, "edge/loop/goals/candidates.py"),
     Stage("score", 0.3, "edge/policies"),
     Stage("plan", 0.1, "edge/mission/run.py"),

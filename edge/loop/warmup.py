@@ -47,10 +47,10 @@ from edge.perception.detection import kernels
 from edge.perception.prior.table import load
 from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking import instance_kernels, look_kernels, place_index
+from edge.perception.tracking.back_projection import BackProjector
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import BackProjector
-from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.perception.tracking.track import MAX_POINTS
 from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.policies import make_policy
@@ -261,10 +261,10 @@ def warm_perception(sources: Sequence[str] = ("depth", "cloud")) -> None:
         perception = PerceptionConfig.model_validate(settings)
         lifted, _ = BackProjector(perception).back_project(detections)
     clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))
-    sightings = ObjectTracker(perception)
-    sightings.update(clear, clear)
-    sightings.has_competing_object("box", np.ones((1, 3), np.float32), 0.1)
-    sightings.clear()
+    objects = ObjectTracker(perception)
+    objects.update(clear, clear)
+    objects.has_competing_object("box", np.ones((1, 3), np.float32), 0.1)
+    objects.clear()
     index = place_index.make_index(1)
     place_index.insert(index, 0, 0.0, 0.0)
     place_index.remove(index, 0)

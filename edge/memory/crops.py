@@ -10,11 +10,11 @@ import numpy as np
 
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.host.worker import Worker
-from edge.perception.tracking.sightings import MAX_SIGHTINGS, ObservedObject
+from edge.perception.tracking.object_tracker import MAX_TRACKED, ObservedObject
 
 SIDE_PX = 64
 """Longest side of a picture."""
-MAX_CROPS = MAX_SIGHTINGS
+MAX_CROPS = MAX_TRACKED
 """Largest number of pictures."""
 MAX_CROP_BYTES = 16 << 20
 """Largest size of all pictures; beyond it the oldest are dropped. 5,000 of 2 kB are 10 MB."""

@@ -52,7 +52,7 @@ class KnownObject:
 
 
 def known_objects(
-    sightings: TrackedObjects,
+    objects: TrackedObjects,
     stamp_ns: int,
     min_hits: int,
     name: str = "",
@@ -67,7 +67,7 @@ def known_objects(
     for "chair").
 
     Args:
-        sightings: objects of the map.
+        objects: objects of the map.
         stamp_ns: current time, on the sensors' clock.
         min_hits: objects that were detected in fewer images are left out.
         name: return only objects of this name and of its kinds; "" for all.
@@ -76,7 +76,7 @@ def known_objects(
         is_in: returns True if an object at (x, y) in `map` is wanted; None: all are.
         room_of: returns the title of the room at (x, y); "" if there is none.
     """
-    s = sightings
+    s = objects
     # `s.words` are the different names; `s.word` is the index of each object's name.
     is_wanted = np.array([not name or names.is_kind_of(word, name) for word in s.words], np.bool_)
     rows = np.flatnonzero(s.hits[: s.n] >= min_hits)

@@ -84,13 +84,13 @@ class SeenObjectIndex:
         self._words = words
         self._row = np.zeros(0, np.int32)
 
-    def of(self, sightings: TrackedObjects) -> SeenObjects:
+    def of(self, objects: TrackedObjects) -> SeenObjects:
         """Return the objects; `xyz_m` is a view."""
-        s = sightings
-        if len(s.words) != len(self._row):
-            self._row = np.array([self._words.row(word) for word in s.words], np.int32)
-        weight = np.minimum(s.confidence[: s.n] / np.float32(FULL_WEIGHT), np.float32(1.0))
-        return SeenObjects(s.xyz_m[: s.n], self._row[s.word[: s.n]], weight)
+        n = objects.n
+        if len(objects.words) != len(self._row):
+            self._row = np.array([self._words.row(word) for word in objects.words], np.int32)
+        weight = np.minimum(objects.confidence[:n] / np.float32(FULL_WEIGHT), np.float32(1.0))
+        return SeenObjects(objects.xyz_m[:n], self._row[objects.word[:n]], weight)
 
 
 def objects_by_region(regions: RegionMap, objects: SeenObjects, n_classes: int) -> np.ndarray:
@@ -210,20 +210,20 @@ class RoomMemory:
             self._visited.add(room)
             self._is_due = True
 
-    def update(self, sightings: TrackedObjects, now_ns: int) -> None:
+    def update(self, objects: TrackedObjects, now_ns: int) -> None:
         """Update kinds and names if something changed.
 
         New objects alone cause an update at most every `PERIOD_NS`.
         """
         period_over = not 0 <= now_ns - self._updated_ns < PERIOD_NS
-        if not self._is_due and (sightings.generation == self._generation or not period_over):
+        if not self._is_due and (objects.generation == self._generation or not period_over):
             return
-        self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
+        self._is_due, self._generation, self._updated_ns = False, objects.generation, now_ns
         self.version += 1
         self._votes.clear()
-        regions, objects = self.survey.regions, self._index.of(sightings)
-        held = objects_by_region(regions, objects, len(self._table.classes))
-        self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
+        regions, seen = self.survey.regions, self._index.of(objects)
+        held = objects_by_region(regions, seen, len(self._table.classes))
+        self._objects = seen._replace(xyz_m=seen.xyz_m.copy())
         self._belief = kinds_by_region(self._table, regions.border, held)
         shapes, named = self.survey.shapes, _names_by_room(self.survey, self.site.room_names)
         region = [shape.region for shape in shapes]
@@ -294,11 +294,9 @@ class RoomMemory:
             or kind in room.kinds
         ]
 
-    def with_object(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
+    def with_object(self, name: str, objects: TrackedObjects, min_hits: int) -> list[MappedRoom]:
         """Return the rooms in which an object was seen, the most confident sighting first."""
-        found = [
-            self.room_at(*obj.xyz_m[:2]) for obj in known_objects(sightings, 0, min_hits, name)
-        ]
+        found = [self.room_at(*obj.xyz_m[:2]) for obj in known_objects(objects, 0, min_hits, name)]
         return list({room.id: room for room in found if room is not None}.values())
 
     def kind_ratio(self, kind: str, xy_m: np.ndarray) -> np.ndarray:

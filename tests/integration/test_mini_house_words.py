@@ -18,10 +18,10 @@ from edge.lab.sim.base import WorldObject, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
 from edge.perception.factory import make_detector
+from edge.perception.tracking.back_projection import BackProjector
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import BackProjector
-from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.types import Observation
 
 BACKGROUND = (
@@ -78,14 +78,14 @@ def looks(house, obj: WorldObject) -> Iterator[Observation]:
 def test_a_background_object_is_found_at_its_place(house, word):
     config, world, _, _, detector = house
     detector.set_prompts([word])
-    sightings, lifter = ObjectTracker(config.perception), BackProjector(config.perception)
+    objects, lifter = ObjectTracker(config.perception), BackProjector(config.perception)
     tracker = InstanceTracker(config.perception)
-    fusion = InstanceFusion(tracker, sightings)
+    fusion = InstanceFusion(tracker, objects)
     obj = next(o for o in world.objects if names.same_name(o.label, word))
     for observation in looks(house, obj):
         found = detector.detect(observation)
         lifted, around = lifter.back_project(found)
-        sightings.update(lifted, around)
+        objects.update(lifted, around)
         fusion.update(lifted, observation.stamp_ns)
         fusion.expire(observation, found.prompts)
     sure = tracker.of(word, only_confirmed=True, with_contested=False)

@@ -12,7 +12,7 @@ FIRST_START = """
 from simulated import simulated
 from edge.loop import warmup
 from edge.mapping.update import apply_scan
-from edge.perception.tracking.lift_kernels import back_project_boxes
+from edge.perception.tracking.back_projection_kernels import back_project_boxes
 # What both would not share takes half a minute more.
 warmup.warm_rooms = warmup.warm_policy = warmup.warm_tasks = lambda *_: None
 warmup.warm_up(simulated())

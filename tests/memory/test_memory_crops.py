@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.memory import CropStore, crops
-from edge.perception.tracking.sightings import ObservedObject
+from edge.perception.tracking.object_tracker import ObservedObject
 
 RED, BLUE = (250, 0, 0), (0, 0, 250)
 

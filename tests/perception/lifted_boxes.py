@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
+from edge.perception.tracking.back_projection import POINTS, BackProjectedBoxes
 from edge.types import Detections, Observation
 
 

@@ -8,7 +8,7 @@ from edge import config
 from edge.geometry import SE2
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.object_tracker import ObjectTracker
 
 
 class Scene:

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from edge.perception.detection.kernels import ROUNDING
-from edge.perception.tracking.lift_kernels import CLAIM_RATIO, LEAST_ON_MASK, MAX_IOU, OTHER_M
+from edge.perception.tracking.back_projection_kernels import (
+    CLAIM_RATIO,
+    LEAST_ON_MASK,
+    MAX_IOU,
+    OTHER_M,
+)
 from edge.perception.tracking.look_kernels import LOOK_MIN_M, LOOK_RIM, OCCLUDED_M, WHOLE_SHARE
-from edge.perception.tracking.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
+from edge.perception.tracking.object_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
 
 
 def to_planes(rgb, scale, top, left, out):

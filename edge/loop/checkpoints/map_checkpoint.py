@@ -35,7 +35,7 @@ from edge.memory import RoomMemory
 from edge.perception.prior.table import load as load_table
 from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.policies.base import Policy, StatefulPolicy
 
 log = logging.getLogger("edge.loop.checkpoints.map_checkpoint")
@@ -154,7 +154,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
         values.set_targets(state.value_targets)
     # Unpacked size of a tile, with value and weight (2 bytes each) of each target.
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
-    sightings = ObjectTracker(perception)
+    objects = ObjectTracker(perception)
     tracker = InstanceTracker(perception)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
@@ -163,7 +163,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     for name, owner, *others in (
         ("map", grid, part("tiles"), size, same_values),
         ("gain", grid.gain), ("bumps", grid.bumps, 0),
-        ("sightings", sightings, 0), ("instances", tracker, 0), ("candidates", pool, 0, 0),
+        ("sightings", objects, 0), ("instances", tracker, 0), ("candidates", pool, 0, 0),
         ("goals", goals, state.target, 0), ("rooms", rooms),
     ):  # fmt: skip
         try:

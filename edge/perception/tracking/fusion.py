@@ -22,9 +22,9 @@ import numpy as np
 from edge import names
 from edge.geometry import invert
 from edge.perception.tracking import instance_kernels as kernels
+from edge.perception.tracking.back_projection import BackProjectedBoxes
+from edge.perception.tracking.back_projection_kernels import INNER
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import BackProjectedBoxes
-from edge.perception.tracking.lift_kernels import INNER
 from edge.perception.tracking.look_kernels import (
     AT_EDGE,
     HIDDEN,
@@ -35,8 +35,8 @@ from edge.perception.tracking.look_kernels import (
     view_of,
     visibility,
 )
-from edge.perception.tracking.sighting_kernels import PARTIAL
-from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.object_kernels import PARTIAL
+from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.perception.tracking.track import InstanceTrack
 from edge.types import Observation
 
@@ -70,12 +70,12 @@ class InstanceFusion:
 
     Args:
         tracker: the instances.
-        sightings: all objects seen, updated with the newest image first; None: no evidence of other
+        objects: all objects seen, updated with the newest image first; None: no evidence of other
             objects.
     """
 
-    def __init__(self, tracker: InstanceTracker, sightings: ObjectTracker | None = None) -> None:
-        self._tracker, self._objects = tracker, sightings
+    def __init__(self, tracker: InstanceTracker, objects: ObjectTracker | None = None) -> None:
+        self._tracker, self._objects = tracker, objects
         self._seen_apart: Counter[tuple[int, int]] = Counter()  # images, by the ids of both
 
     def update(self, boxes: BackProjectedBoxes, stamp_ns: int) -> None:

@@ -1,6 +1,6 @@
 """Instances: objects that may be the target, merged over time (VL-Nav III.C).
 
-Use them for what the robot drives to and verifies; use `sightings` for all other objects, and
+Use them for what the robot drives to and verifies; use `object_tracker` for all other objects, and
 `edge.tasks.scene.objects` for the extent of an object that a trajectory passes.
 """
 

@@ -1,4 +1,4 @@
-"""All objects seen, as parallel arrays; `sightings` updates them."""
+"""All objects seen, as parallel arrays; `object_tracker` updates them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from copy import copy
 
 import numpy as np
 
-from edge.perception.tracking import sighting_kernels as kernels
+from edge.perception.tracking import object_kernels as kernels
 
 
 class TrackedObjects:

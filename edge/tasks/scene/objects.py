@@ -2,7 +2,7 @@
 
 Use it for the extent of the few objects of a task, with up to `MOST_POINTS` points each: it
 compares a detection with all of them. For each image of a mission, `edge.perception.tracking` has
-`instances` (the targets) and `sightings` (everything else).
+`instances` (the targets) and `object_tracker` (everything else).
 """
 
 from __future__ import annotations

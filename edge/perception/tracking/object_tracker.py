@@ -21,16 +21,16 @@ import numpy as np
 from edge import config, names
 from edge.geometry import FARTHEST_M, invert
 from edge.host.checkpoint import Arrays, check_arrays
+from edge.perception.tracking import object_kernels as kernels
 from edge.perception.tracking import place_index
-from edge.perception.tracking import sighting_kernels as kernels
-from edge.perception.tracking.lift import BackProjectedBoxes
+from edge.perception.tracking.back_projection import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
 from edge.perception.tracking.moved_objects import VANISHED, MovedObjects, VanishedObject
 from edge.perception.tracking.object_words import ObjectWords
 from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.types import Observation
 
-MAX_SIGHTINGS = 5000
+MAX_TRACKED = 5000
 """Largest number of objects in the map."""
 _DROP_SHARE = 0.1
 """An object is dropped if its confidence is below this share of `tau_det`.
@@ -106,7 +106,7 @@ class ObjectTracker:
 
     A strong box (score above `tau_det`) starts an object; a weak one (any other box) only counts at
     a known place. Each view that should show an object but has no box for it lowers the object's
-    confidence. The arrays are allocated once: over `MAX_SIGHTINGS` the least confident object is
+    confidence. The arrays are allocated once: over `MAX_TRACKED` the least confident object is
     dropped.
 
     Attributes:
@@ -117,7 +117,7 @@ class ObjectTracker:
     """
 
     def __init__(self, perception: config.PerceptionConfig) -> None:
-        cap = MAX_SIGHTINGS
+        cap = MAX_TRACKED
         self.config = perception
         self._objects = TrackedObjects(cap)
         self._evidence = _Evidence(

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from edge import config
 from edge.geometry import CameraModel, invert
-from edge.perception.tracking import lift_kernels as kernels
-from edge.perception.tracking.lift import BackProjector
+from edge.perception.tracking import back_projection_kernels as kernels
+from edge.perception.tracking.back_projection import BackProjector
 from edge.types import MASK_SIDE, ContextBoxes, Detections, Observation
 
 SIMULATED = config.PerceptionConfig(detector=config.DetectorSim())

@@ -9,10 +9,10 @@ from twins import fuse, match, strongest_competing_score
 
 from edge import config
 from edge.geometry import invert, se3, to_optical
-from edge.perception.tracking import sighting_kernels as kernels
+from edge.perception.tracking import object_kernels as kernels
 from edge.perception.tracking.look_kernels import NO_DEPTH
+from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.perception.tracking.place_index import CELL_M, make_index, rebuild
-from edge.perception.tracking.sightings import ObjectTracker
 
 NEAR, FAR = 2.0, 5.0
 
@@ -74,7 +74,7 @@ def test_weak_boxes_count_only_at_known_objects(scene):
 
 
 def test_over_its_capacity_the_least_confident_goes(scene, monkeypatch):
-    monkeypatch.setattr("edge.perception.tracking.sightings.MAX_SIGHTINGS", 3)
+    monkeypatch.setattr("edge.perception.tracking.object_tracker.MAX_TRACKED", 3)
     s = scene()
     for _ in range(5):
         s.see(("chair", NEAR, 0, 0.9), ("sofa", NEAR, 0, 0.8))

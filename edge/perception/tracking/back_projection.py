@@ -12,7 +12,7 @@ import numpy as np
 
 from edge import config
 from edge.geometry import CameraModel, invert
-from edge.perception.tracking import lift_kernels as kernels
+from edge.perception.tracking import back_projection_kernels as kernels
 from edge.perception.tracking.sample_kernels import SIDE, cloud_raster
 from edge.types import MASK_SIDE, Detections, Observation
 
@@ -57,8 +57,8 @@ class BackProjector:
     """Back-projects boxes with the depth or cloud, and the pose, of their own observation.
 
     A box also shows what is in front of and behind the object. In the inner part of the box, the
-    surface is chosen that fits the box best (see `lift_kernels.choose_surface`), without the floor
-    under the object. If the detections have masks, only samples on the mask count.
+    surface is chosen that fits the box best (`back_projection_kernels.choose_surface`), without
+    the floor under the object. If the detections have masks, only samples on the mask count.
 
     Attributes:
         skipped: number of observations with boxes but without the camera, depth or cloud needed.
@@ -68,7 +68,7 @@ class BackProjector:
         self.config = perception
         self.skipped = 0
         side = SIDE
-        self._scratch = (  # see `lift_kernels.back_project_boxes`
+        self._scratch = (  # see `back_projection_kernels.back_project_boxes`
             np.empty((side * side, 3), np.float32),
             np.empty((4, side * side, 3), np.float32),
             np.empty(4, np.int32),

@@ -1,4 +1,4 @@
-"""Kernels of the object map (`sightings`): they match and fuse its rows. Arrays only."""
+"""Kernels of the object map (`object_tracker`): they match and fuse its rows. Arrays only."""
 
 from __future__ import annotations
 
