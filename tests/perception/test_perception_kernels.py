@@ -20,7 +20,7 @@ from twins import (
 )
 
 from edge.perception.detection import kernels
-from edge.perception.tracking import instance_kernels, lift_kernels, sample_kernels
+from edge.perception.tracking import back_projection_kernels, instance_kernels, sample_kernels
 
 TAU = np.float32(0.05)
 FAR_PX = 1000.0
@@ -202,9 +202,9 @@ def test_sample_depth_agrees_with_its_twin(seed):
 def surfaces_of(z):
     samples = np.zeros((max(1, len(z)), 3), np.float32)
     samples[: len(z), 2] = z
-    histogram = np.zeros(lift_kernels.BINS, np.int32)
-    found = np.zeros((lift_kernels.BINS, 3), np.float32)
-    return found[: lift_kernels.surfaces(samples, len(z), 8.0, histogram, found)]
+    histogram = np.zeros(back_projection_kernels.BINS, np.int32)
+    found = np.zeros((back_projection_kernels.BINS, 3), np.float32)
+    return found[: back_projection_kernels.surfaces(samples, len(z), 8.0, histogram, found)]
 
 
 @given(seed=seeds, n=st.integers(0, 576), spread=st.floats(0.05, 4))
@@ -214,7 +214,11 @@ def test_surfaces_agree_with_their_twin(seed, n, spread):
     z = np.clip(random.choice(middles, n) + spread * random.normal(size=n) / 4, 0.05, 7.99)
     z = z.astype(np.float32)
     twin = surfaces(
-        z.astype(np.float64), 8.0, lift_kernels.BINS, lift_kernels.GAP_M, lift_kernels.SPARSE
+        z.astype(np.float64),
+        8.0,
+        back_projection_kernels.BINS,
+        back_projection_kernels.GAP_M,
+        back_projection_kernels.SPARSE,
     )
     np.testing.assert_allclose(surfaces_of(z), twin, rtol=1e-6)
 
@@ -227,7 +231,7 @@ def test_share_beyond_box_agrees_with_its_twin(seed):
     T = np.eye(4)
     T[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
     low, high = np.sort(random.uniform(-3, 3, 2))
-    ours = lift_kernels.share_beyond_box(beside, n, low, high, T, -0.5)
+    ours = back_projection_kernels.share_beyond_box(beside, n, low, high, T, -0.5)
     strips = [beside[k, : n[k]].astype(np.float64) for k in range(4)]
     assert ours == pytest.approx(going_on(strips, low, high, T, -0.5))
 
