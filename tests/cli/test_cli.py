@@ -313,7 +313,7 @@ def test_the_demos_page_is_at_one_port_and_stays(
         (KeyboardInterrupt(signal.SIGTERM), 143),
     ],
 )
-def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch):
+def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch, capsys):
     def run_service(*_):
         if isinstance(outcome, int):
             return outcome
@@ -322,6 +322,7 @@ def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch):
     monkeypatch.setattr("edge.cli.commands.run_service", run_service)
     assert main(["run", "demo"]) == code
     assert code > 128 or code in EXIT_CODES
+    assert ("Traceback" in capsys.readouterr().err) == (code == os.EX_SOFTWARE)
 
 
 @pytest.mark.parametrize(
