@@ -151,6 +151,13 @@ def test_an_address_in_use_fails_before_the_detector_loads(tmp_path, monkeypatch
         )
 
 
+def test_a_bench_without_its_model_makes_no_recording(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    said = fails(capsys, "bench", "cpu", code=os.EX_UNAVAILABLE)
+    assert "model yolo-world-s-256x320-int8-cpu is not there; run `edge models export" in said
+    assert list(tmp_path.rglob("*.mcap*")) == []
+
+
 def test_a_missing_recording_is_an_error(capsys):
     words = ("bench", "demo", "--recording", "nowhere.mcap")
     assert "no such file" in fails(capsys, *words, code=os.EX_IOERR)
