@@ -122,10 +122,12 @@ def open_service(
         BusError: The endpoint cannot be listened on, or another service has the prefix.
     """
     stop, latch = stop or threading.Event(), latch or StopLatch()
-    make_source, make_sinks = make_source or find_source(config), find_sinks(config)
+    is_played, make_source = make_source is not None, make_source or find_source(config)
+    make_sinks = find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
     # A kind with a colon is a plugin, `module:Class`, which may send goals, too.
-    if not any(sink.kind in ("zenoh", "ros2") or ":" in sink.kind for sink in config.sinks):
+    sends_goals = any(s.kind in ("zenoh", "ros2") or ":" in s.kind for s in config.sinks)
+    if not (sends_goals or is_played):
         log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add such "
                     "a sink to drive a robot", config.locate("sinks"))  # fmt: skip
     with ExitStack() as stack:

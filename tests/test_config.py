@@ -100,6 +100,11 @@ FAULTS = [
         "nearest_frontier, search, module:Class)",
     ),
     (
+        {"policy": {"kint": "hvl"}},
+        "f.yaml: policy.kind: missing, but there is 'kint' (choices: hvl, vlfm, ",
+    ),
+    ({"sinks": "mcap"}, "f.yaml: sinks: expected a list, got 'mcap'"),
+    (
         {"policy": {"kind": "my:b c"}},
         "f.yaml: policy.kind: expected module:Class, such as "
         "my_package.my_module:MyClass, got 'my:b c'",

@@ -151,6 +151,12 @@ class RequestQueue:
         except ValueError as error:
             self._finish((query,), error_payload(str(error)), True)
             return
+        except Exception as error:  # else it would end the transport's thread
+            log.exception(
+                "a request could not be read: a bug in edge; please report this traceback"
+            )
+            self._finish((query,), error_payload(_internal(error)), True)
+            return
         cancelled: list[Request] = []
         with self._lock:
             if self._verbs[do].stops_robot:
@@ -260,9 +266,7 @@ class RequestQueue:
             log.exception(
                 "request %s failed: a bug in edge; please report this traceback", request.do
             )
-            self._drop_failed(
-                request, UserError(f"internal error: {type(error).__name__}: {error}")
-            )
+            self._drop_failed(request, UserError(_internal(error)))
         else:
             with self._lock:
                 request.prepared, request.ready = prepared, True
@@ -276,3 +280,8 @@ class RequestQueue:
             if request in self._second:
                 self._second.remove(request)
         request.refuse(str(error), error.details)
+
+
+def _internal(error: Exception) -> str:
+    """Return the refusal for an error that is a bug."""
+    return f"internal error: {type(error).__name__}: {error}"

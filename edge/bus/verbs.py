@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from edge.errors import UserError
 from edge.geometry import FARTHEST_M, SE2
 from edge.text import bounded_repr, one_line, read_json_object
 
@@ -28,7 +29,7 @@ class Verb:
 
     Attributes:
         fields: names of the fields that a request may have, without `do`.
-        read: checks and converts the fields; raises ValueError with one line.
+        read: checks and converts the fields; raises ValueError or UserError with one line.
         prepare: slow part of the work: called with the fields on a thread of the server, one
             request at a time; raises UserError to refuse the request.
         stops_robot: True if the request stops the robot. It is never refused for lack of room, and
@@ -61,7 +62,10 @@ def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
         raise ValueError(
             f"{bounded_repr(unknown[0], 40)}: not a field of do: {do} (its fields: {fields})"
         )
-    fields = verbs[do].read(data)
+    try:
+        fields = verbs[do].read(data)
+    except UserError as error:
+        raise ValueError(str(error)) from None
     return verbs[do].instead(fields) or (do, fields)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from edge.cli.options import (
@@ -95,7 +96,7 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     dispatch_on_option(
         bench, "--models", on=lazy_handler("edge.lab.bench.compare"),
         on_only=("--images", "--providers", "--threads", "--update-cards"),
-        off=lazy_handler("edge.lab.bench.service"),
+        off=_bench_service,
         off_only=("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache"),
     )
 
@@ -117,3 +118,13 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
            help="folder for the recordings and logs (default: ./%(default)s)")
     soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", extra="lab"))
 # fmt: on
+
+
+def _bench_service(args: argparse.Namespace) -> int:
+    """Handle `edge bench`: check the configuration before the recording, which takes a while."""
+    if not args.calibrate:
+        from edge.cli.preflight import check
+        from edge.config import load
+
+        check(load(args.config))
+    return lazy_handler("edge.lab.bench.service")(args)

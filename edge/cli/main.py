@@ -65,10 +65,11 @@ def _run_handler(args: argparse.Namespace) -> int:
     except OSError as error:
         where = error.filename or "unnamed file, device or connection"
         reason = error.strerror or error
-        log.exception(
+        log.error(
             "%s: input or output failed: %s; check the path, its permissions and the free disk "
             "space", where, reason,
         )  # fmt: skip
+        log.debug("the traceback of this error", exc_info=True)
         return os.EX_IOERR
     except Exception:
         log.exception("internal error of edge; please report it with this traceback")

@@ -51,9 +51,10 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         RequestError: no service is there, it does not answer, or it refuses.
         ConfigError: the configuration cannot be read.
+        FileError: the file cannot be written.
     """
     from edge.bus import topics
-    from edge.host.files import write_atomically
+    from edge.host.files import save
     from edge.memory import memory_geojson
     from edge.text import format_table, one_line
 
@@ -65,11 +66,11 @@ def run(args: argparse.Namespace) -> int:
             rooms = ask(topics.MEMORY_REQUEST, {"do": "rooms"})["rooms"]
             content = memory_geojson(site, objects, rooms)
     if args.do == "crop":
-        write_atomically(Path(args.file), base64.b64decode(answer["jpeg_base64"]))
+        save(Path(args.file), base64.b64decode(answer["jpeg_base64"]))
         print(f"{args.file}: {answer['text']}")
         return 0
     if args.do == "export":
-        write_atomically(Path(args.file), (json.dumps(content, indent=1) + "\n").encode())
+        save(Path(args.file), (json.dumps(content, indent=1) + "\n").encode())
         print(f"{args.file}: {answer['text']}")
     elif args.json:
         print(json.dumps(objects, indent=1))

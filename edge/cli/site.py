@@ -94,10 +94,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         RequestError: no service is there, it does not answer, or it refuses.
         SiteError: a file cannot be used.
+        FileError: a file cannot be written.
         ConfigError: the configuration cannot be read.
     """
     from edge.bus import topics
-    from edge.memory import SiteError, read_site, site_of, write_site
+    from edge.host.files import save
+    from edge.memory import SiteError, read_site, site_of
 
     request = _request(args)
     if args.do == "import":
@@ -109,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
         answer = ask(topics.SITE_REQUEST, request)
     site = site_of(answer["site"], "the service's answer")
     if args.do == "export":
-        write_site(Path(args.file), site)
+        save(Path(args.file), (json.dumps(site.geojson(), indent=1) + "\n").encode())
         print(f"{args.file}: {len(site.items)} places and zones")
     elif args.json:
         print(json.dumps(answer["site"], indent=1))

@@ -5,6 +5,7 @@ Our components have short names; plugins of the user are named `module:Class`.
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -13,7 +14,15 @@ from types import MappingProxyType
 from typing import Any
 
 from edge.errors import ConfigError, UserError
-from edge.text import bounded_repr, one_line
+from edge.text import bounded_repr, one_line, redact
+
+_PLAIN_TYPES: Mapping[str, tuple[str, Any]] = {
+    "float": ("a number", (int, float)),
+    "int": ("a number", (int, float)),
+    "str": ("a text", str),
+    "bool": ("true or false", bool),
+}
+"""Annotation of an option → the value to expect, in words and as types; others are not checked."""
 
 
 def component_factory(
@@ -66,6 +75,7 @@ def component_factory(
     elif not functions:
         raise ConfigError(f"{where}.kind: {kind} is no {what}: it is no class")
     takes = [name for name in given if name in signature.parameters]
+    _check_options(signature, options, given, f"{where}.options")
     try:
         signature.bind(**dict.fromkeys(takes), **options)
     except TypeError as error:
@@ -94,6 +104,29 @@ def component_factory(
         return made
 
     return make_named
+
+
+def _check_options(
+    signature: inspect.Signature, options: Mapping[str, Any], given: Sequence[str], where: str
+) -> None:
+    """Raise ConfigError if an option is unknown, or no number or text as its annotation says."""
+    parameters = signature.parameters
+    takes_any = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
+    for name, value in options.items():
+        if name not in parameters:
+            if takes_any:
+                continue
+            names = [key for key in parameters if key not in given]
+            close = difflib.get_close_matches(str(name), names, n=1)
+            choices = ", ".join(names) or "none"
+            hint = f"did you mean {close[0]!r}?" if close else f"choices: {choices}"
+            raise ConfigError(f"{where}.{one_line(name)}: unknown option ({hint})")
+        annotation = parameters[name].annotation
+        annotation = getattr(annotation, "__name__", annotation)
+        expected, types = _PLAIN_TYPES.get(str(annotation), ("", object))
+        if not isinstance(value, types) or (expected == "a number" and isinstance(value, bool)):
+            shown = bounded_repr(redact(value))
+            raise ConfigError(f"{where}.{name}: expected {expected}, got {shown}")
 
 
 def _find_class(kind: str, registry: Mapping[str, str], where: str) -> Any:

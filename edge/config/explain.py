@@ -55,8 +55,10 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file
     no_section = kind == "union_tag_not_found" and not isinstance(fault["input"], dict)
     if no_section or kind in ("model_type", "model_attributes_type"):
         return f"{where}: expected a section of keys, got {bounded_repr(given)}"
+    if kind == "tuple_type":
+        return f"{where}: expected a list, got {bounded_repr(given)}"
     if kind in ("missing", "union_tag_not_found"):
-        return f"{where}{_missing(fault['loc'], models, root)}"
+        return f"{where}{_missing(fault, models, root)}"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ")
         return f"{where}: unknown {bounded_repr(given)} (choices: {choices})"
@@ -70,8 +72,9 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file
     return f"{where}: {message[0].lower()}{message[1:]}{got}"
 
 
-def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> str:
+def _missing(fault: Any, models: list[Any], root: type[BaseModel]) -> str:
     """Return the end of the message for a missing key; for a union with its kinds and advice."""
+    loc = fault["loc"]
     kinds = [
         m.model_fields["kind"].default
         for m in _walk(list(loc), root)[1]
@@ -81,7 +84,12 @@ def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> 
     if not kinds or (field is not None and get_origin(field.annotation) is tuple):
         return ": missing"
     advice = field.description if field is not None else None
-    return f".kind: missing (choices: {', '.join(kinds)}){': ' + advice if advice else ''}"
+    # Without its kind a section is not checked further, so a misspelt `kind` is looked for here.
+    given = fault["input"] if isinstance(fault["input"], dict) else {}
+    close = difflib.get_close_matches("kind", [str(key) for key in given], n=1)
+    instead = f", but there is {one_line(close[0])!r}" if close else ""
+    choices = f"(choices: {', '.join(kinds)})"
+    return f".kind: missing{instead} {choices}{': ' + advice if advice else ''}"
 
 
 def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[Any]]:

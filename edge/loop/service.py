@@ -45,7 +45,7 @@ from edge.loop.stages import (
     STAGES,
 )
 from edge.loop.status import Part, PartsStatus
-from edge.memory import START, Place, Site, SiteFile
+from edge.memory import START, Place, Site, SiteFile, known_objects
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, task_state
 from edge.mission.travel_cost import make_travel_cost_estimator
@@ -280,7 +280,9 @@ class Service:
             self.mission.sets.mark_stale_before(self.map.tracker.newest_id)
         else:
             self._reset_search()
-        content = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
+        min_hits = self.config.perception.min_hits
+        known = known_objects(self.map.objects.read_only, self.stamp_ns, min_hits)
+        content = f"map ({self.map.grid.known_m2:.0f} m²) and {len(known)} objects"
         self.event(f"restored {content} from the checkpoint", last_pose.now_ns)
 
     def _plan(self, context: PolicyInput) -> PolicyInput:

@@ -24,7 +24,7 @@ from edge.errors import UserError
 from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.checkpoints.map_checkpoint import SUFFIX
 from edge.loop.error_boundary import TICK
-from edge.loop.input_log import TASK, LoopInput
+from edge.loop.input_log import TASK, USE, LoopInput
 from edge.loop.latency import LatencyReport
 from edge.loop.result import TickResult
 from edge.loop.scoring.scorers import Scorers, make_scorers
@@ -112,6 +112,12 @@ class DecisionSink:
         """Do nothing."""
 
 
+def _is_refused(step: RecordedStep) -> bool:
+    """Return True if the observation was refused, so that no detector got it."""
+    decisions = (e.fields for e in step.page.entries if e.kind == "decision")
+    return any(fields["name"] == USE and fields["value"] for fields in decisions)
+
+
 class _ReplayedService:
     """A service that gets the recorded inputs.
 
@@ -156,7 +162,7 @@ class _ReplayedService:
 
     def apply(self, step: RecordedStep) -> None:
         """Give the inputs of a page to the service."""
-        if step.observation is not None:
+        if step.observation is not None and not _is_refused(step):
             self._tick_events.add_frame(step.observation, step.picture)
         for action, entries in _actions(step.page.entries):
             self._tick_events.begin(entries)

@@ -15,7 +15,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -25,13 +25,13 @@ import zenoh
 from edge.bus import topics
 from edge.bus.ros2.node import open_node
 from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, LATCHED, SUBSCRIBED, accepted_types
-from edge.bus.session import Ring, declare_publisher, open_session, zenoh_session
+from edge.bus.session import BusError, Ring, declare_publisher, open_session, zenoh_session
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError
 from edge.bus.wire.cdr import HEADER, STAMP
 from edge.bus.wire.messages import peek_stamp_ns
 from edge.config import Config, ZenohConfig, load
-from edge.errors import FAILED, UnavailableError, UserError
+from edge.errors import FAILED, ConfigError, UnavailableError, UserError
 from edge.host.children import python_module
 from edge.host.signals import stop_on_signals
 from edge.recording.bag import by_log_time
@@ -342,13 +342,13 @@ def run(args: argparse.Namespace) -> int:
     """Run `edge record`; return 1 if a sensor that the map needs sent nothing."""
     config = load(args.config)
     stop = stop_on_signals()
-    with zenoh_session(config.zenoh, "connect", stop) as session:
+    with _session(config, stop) as session:
         written = record(session, config, args.out, args.seconds, stop)
     print(f"{args.out}: {written.total()} messages")
     for topic, n in sorted(written.items()):
         print(f"{n:8} {topic}")
     if not written:
-        print(f"nothing received at {config.zenoh.address}: is the service running?")
+        print(f"nothing received at {config.zenoh.address}: does the robot send its sensors there?")
         return FAILED
     # Our names of the topics of which there is a message, compressed or not.
     received = {name for name in SUBSCRIBED if any(f"/{name}{end}" in written for end in _ENDINGS)}
@@ -359,6 +359,23 @@ def run(args: argparse.Namespace) -> int:
         print(f"nothing received from {', '.join(missing)} (source.kind: {config.source.kind}): no "
               "map can be built from this recording")  # fmt: skip
     return FAILED if missing else os.EX_OK
+
+
+@contextmanager
+def _session(config: Config, stop: threading.Event) -> Iterator[zenoh.Session]:
+    """Open a session; if no service runs, listen in its place, so that the robot can connect."""
+    with ExitStack() as stack:
+        session = None
+        if config.zenoh.mode == "peer":
+            with suppress(BusError, ConfigError):  # in use, or only the service may listen here
+                session = stack.enter_context(zenoh_session(config.zenoh, "listen", stop))
+                log.info(
+                    "no service runs at %s: the recording listens in its place until it ends",
+                    config.zenoh.address,
+                )
+        if session is None:
+            session = stack.enter_context(zenoh_session(config.zenoh, "connect", stop))
+        yield session
 
 
 def main(path: str) -> int:

@@ -18,7 +18,7 @@ from edge.bus import request_queue
 from edge.bus.client import RequestError, send_request
 from edge.bus.requests import MAX_BYTES, RequestServer
 from edge.bus.session import open_session
-from edge.bus.verbs import Request
+from edge.bus.verbs import Request, Verb
 from edge.config import ZenohConfig
 from edge.errors import UserError
 from edge.host.ports import free_port
@@ -314,6 +314,29 @@ def test_nonsense_is_answered_with_one_line(session, serve, payload, text):
     asking = Asking(session, do="status")
     taken(server).answer({})
     assert asking.answer == {}
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (ValueError("no such corner"), "no such corner"),
+        (UserError("two corners"), "two corners"),
+        (ZeroDivisionError("oh no"), "internal error: ZeroDivisionError: oh no"),
+    ],
+)
+def test_a_check_of_fields_that_raises_refuses_only_its_request(session, error, text):
+    def read(fields: dict) -> dict:
+        raise error
+
+    server = RequestServer(session, KEY, {"bad": Verb((), read), "status": Verb()}, broken)
+    try:
+        (answer,) = replies(session, b'{"do": "bad"}')
+        assert json.loads(answer) == {"error": text}
+        asking = Asking(session, do="status")
+        taken(server).answer({})
+        assert asking.answer == {}
+    finally:
+        server.close()
 
 
 def test_a_very_long_error_is_cut_and_drives_no_terminal(session, serve):

@@ -151,6 +151,13 @@ def test_an_address_in_use_fails_before_the_detector_loads(tmp_path, monkeypatch
         )
 
 
+def test_a_bench_without_its_model_makes_no_recording(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    said = fails(capsys, "bench", "cpu", code=os.EX_UNAVAILABLE)
+    assert "model yolo-world-s-256x320-int8-cpu is not there; run `edge models export" in said
+    assert list(tmp_path.rglob("*.mcap*")) == []
+
+
 def test_a_missing_recording_is_an_error(capsys):
     words = ("bench", "demo", "--recording", "nowhere.mcap")
     assert "no such file" in fails(capsys, *words, code=os.EX_IOERR)
@@ -313,7 +320,7 @@ def test_the_demos_page_is_at_one_port_and_stays(
         (KeyboardInterrupt(signal.SIGTERM), 143),
     ],
 )
-def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch):
+def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch, capsys):
     def run_service(*_):
         if isinstance(outcome, int):
             return outcome
@@ -322,6 +329,7 @@ def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch):
     monkeypatch.setattr("edge.cli.commands.run_service", run_service)
     assert main(["run", "demo"]) == code
     assert code > 128 or code in EXIT_CODES
+    assert ("Traceback" in capsys.readouterr().err) == (code == os.EX_SOFTWARE)
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,10 @@ def test_places_and_zones_by_command(edge, endpoint, tmp_path, command):
     ]  # fmt: skip
     exported = tmp_path / "out.geojson"
     assert command("place", "export", config, str(exported))[0] == 0
+    code, said = command("place", "export", config, str(tmp_path / "out.geojson" / "file"))
+    assert (code, "out.geojson/file: cannot be written" in said) == (os.EX_IOERR, True), said
+    code, said = command("zone", "keep-out", config, "line", "5,5", "6,5")
+    assert (code, "at least three different corners" in said) == (os.EX_DATAERR, True), said
     assert command("zone", "remove", config, "stairs") == (0, "removed: stairs\n")
     code, said = command("zone", "remove", config, "stairs")
     assert (code, "no place or zone 'stairs'" in said) == (os.EX_DATAERR, True)
@@ -54,5 +58,7 @@ def test_places_and_zones_by_command(edge, endpoint, tmp_path, command):
     assert command("memory", "export", config, str(exported), "--geojson")[0] == 0
     kinds = [one["properties"]["kind"] for one in json.loads(exported.read_text())["features"]]
     assert {"place", "object"} <= set(kinds)
+    code, said = command("memory", "export", config, str(exported / "file"))
+    assert (code, "cannot be written" in said) == (os.EX_IOERR, True), said
     code, said = command("place", "import", config, str(tmp_path / "none"))
     assert (code, "no such file" in said) == (os.EX_DATAERR, True)

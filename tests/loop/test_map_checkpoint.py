@@ -23,6 +23,7 @@ from edge.loop.checkpoints.map_checkpoint import MAP, MapParts, StampedPose, mak
 from edge.loop.service import Service
 from edge.mapping.tiles import LayerTiles, TileCopier
 from edge.mapping.window import Window
+from edge.memory import known_objects
 from edge.perception.factory import make_detector
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -298,9 +299,12 @@ def test_an_ended_mission_leaves_its_map_to_the_next(tmp_path):
     run.service.mission.finish("failed", "by order", run.drive.motion.stamp_ns)
     run.ticks(1)
     known_m2, n_objects = run.service.map.grid.known_m2, len(run.service.map.objects.read_only.id)
+    remembered = len(known_objects(run.service.map.objects.read_only, 0, 2))
     run.killed()
     assert run.service.checkpoint.saved is None
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    assert any(f"and {remembered} objects from the" in event for event in run.notes.events)
+    assert remembered > len(run.service.map.tracker), "context words are remembered, too"
     assert run.service.map.grid.known_m2 >= known_m2 > 0
     assert len(run.service.map.objects.read_only.id) == n_objects
     # The new mission has looked only at the view of this one image.

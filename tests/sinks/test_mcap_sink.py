@@ -201,7 +201,7 @@ def test_ticks_between_observations_share_a_page(make, tmp_path):
         ({"rgb_hz": -1}, "rgb_hz: must be 0 or more"),
         ({"keep_mb": 100}, "keep_mb: 100 is less than two files of max_mb, 256 MB"),
         ({"compression": "gzip"}, r"compression: unknown 'gzip' \(choices: none, lz4, zstd\)"),
-        ({"color": "red"}, "options: got an unexpected keyword argument 'color'"),
+        ({"color": "red"}, "options.color: unknown option"),
         ({"folder": "/proc/nowhere"}, "folder: /proc/nowhere: cannot be written: No such file"),
     ],
 )

@@ -59,7 +59,7 @@ def test_a_plugin_sink_is_one_file_and_one_configuration_line(page, tmp_path):
     ("sinks", "said"),
     [
         (["zenoh", "zenho"], r"sinks\.1\.kind: unknown 'zenho' \(choices: zenoh, ros2, mcap, fox"),
-        ([{"kind": "zenoh", "options": {"hz": 3}}], r"sinks\.0\.options: .*'hz'"),
+        ([{"kind": "zenoh", "options": {"hz": 3}}], r"sinks\.0\.options\.hz: unknown option"),
         ([{"kind": "zenoh", "option": {}}], r"sinks\.0\.option: unknown key"),
         ([7], r"sinks\.0: expected a section"),
         (["builtins:object"], r"sinks\.0\.kind: builtins:object is no sink: it has no tick\(\)"),

@@ -9,6 +9,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -22,9 +23,11 @@ from simulated import simulated
 
 from edge.bus.ros2.names import RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Ros2Node
+from edge.bus.session import zenoh_session
 from edge.bus.wire import messages
 from edge.bus.wire.transforms import Transform, encode_transforms
-from edge.config import Config
+from edge.config import Config, ZenohConfig
+from edge.errors import FAILED
 from edge.geometry import SE2, se3
 from edge.host.ports import free_port
 from edge.sources import recording
@@ -183,3 +186,28 @@ def test_a_recording_that_lacks_a_sensor_is_a_failure(
     out = capsys.readouterr().out
     assert said in out
     assert ("nothing" in out) == (code != os.EX_OK)
+
+
+@pytest.mark.parametrize("served", [False, True], ids=["no service", "a service"])
+def test_a_robot_is_recorded_with_and_without_a_service(tmp_path, served):
+    settings, path = ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}"), tmp_path / "mine.yaml"
+    detector = {"detector": {"kind": "sim"}}
+    zenoh = settings.model_dump(mode="json")
+    path.write_text(json.dumps({"zenoh": zenoh, "perception": detector}))
+    args = argparse.Namespace(config=str(path), out=tmp_path / "x.mcap", seconds=2.0)
+    done = threading.Event()
+
+    def send() -> None:
+        with zenoh_session(settings, "connect", done) as robot:
+            while not done.wait(0.05):
+                robot.put(settings.key("odom"), messages.encode_odometry(1, np.eye(4), 0.0, 0.0))
+
+    service = zenoh_session(settings, "listen") if served else nullcontext()
+    with ThreadPoolExecutor(1) as pool, service:
+        sent = pool.submit(send)
+        try:
+            assert recording.run(args) == FAILED, "the camera is missing"
+        finally:
+            done.set()
+        sent.result()
+    assert {message.topic.key for message in recording.read(args.out)} == {"odom"}

@@ -81,7 +81,17 @@ def names(*cases):
 
 @names(
     ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, ros2, zmq, camera, or module:Class\)"),
-    ("zenoh", {"rate": 3}, "options: got an unexpected keyword argument 'rate'"),
+    ("zenoh", {"rate": 3}, r"options\.rate: unknown option \(choices: none\)$"),
+    ("zmq", {"adress": "x"}, r"options\.adress: unknown option \(did you mean 'address'\?\)$"),
+    (
+        f"{__name__}:Mine",
+        {"rate": 3},
+        r"options\.rate: unknown option \(did you mean 'rate_hz'\?\)$",
+    ),
+    (f"{__name__}:Mine", {"": 3}, r"options\.: unknown option \(choices: rate_hz\)$"),
+    ("zmq", {"address": 5555}, r"options\.address: expected a text, got 5555$"),
+    (f"{__name__}:Mine", {"rate_hz": "5 Hz"}, r"options\.rate_hz: expected a number, got '5 Hz'$"),
+    (f"{__name__}:Mine", {"rate_hz": True}, r"options\.rate_hz: expected a number, got True$"),
     ("no_such_module:A", {}, "kind: 'no_such_module:A' cannot be imported: Mod.* PYTHONPATH"),
     ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing' cannot be imported: Attr"),
     ("math:pi", {}, "kind: math:pi is no source: 3.14.* is not a callable object"),

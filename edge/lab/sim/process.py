@@ -34,7 +34,7 @@ REPEAT_S = 0.5  # time after which unanswered sensor data is sent again, in lock
 FIRST_STAMP_NS = 1_000_000_000  # start of the simulated clock, in lockstep
 _TRUTH_HZ = 10.0  # rate of the ground truth
 _DESCRIPTION_HZ = 1.0  # rate of camera intrinsics and labels
-_POLL_S = 0.0005  # pause between two looks for a command, in lockstep
+_POLL_S = 0.0005  # pause between two looks for a command or a motion
 
 
 def main(config: Config, stop: threading.Event) -> int:
@@ -132,7 +132,11 @@ def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event)
 def _sense(rig: Rig, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
     """Send one sensor's data at its rate, and its description once a second."""
     next_s = describe_at_s = time.monotonic()
+    motion = None
     while not stop.is_set():
+        if drive.motion is motion:  # the robot's thread is late: no sensor sends one stamp twice
+            stop.wait(_POLL_S)
+            continue
         motion = drive.motion
         if time.monotonic() >= describe_at_s:
             bus.send(rig.description(motion.stamp_ns))

@@ -24,7 +24,7 @@ class CropState:
     n: int
 
 
-CROPS = CheckpointFormat("edge-crops", "pictures", CropState, MAX_CROP_BYTES + (1 << 20))
+CROPS = CheckpointFormat("edge-crops", "file of pictures", CropState, MAX_CROP_BYTES + (1 << 20))
 """Format of the file."""
 
 

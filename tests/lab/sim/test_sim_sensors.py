@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import threading
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from edge.bus import topics
 from edge.bus.wire import messages
 from edge.geometry import SE2
 from edge.lab.sim.base import WorldError
-from edge.lab.sim.process import next_frame
+from edge.lab.sim.process import _sense, next_frame
 from edge.lab.sim.robot import DriveTrain
 from edge.lab.sim.sensors import CameraRig, LidarRig, make_rigs, odometry_message, truth_message
 from edge.lab.sim.worlds import load_world
@@ -121,6 +124,27 @@ def test_odometry_and_truth_are_of_the_same_instant(world):
 )
 def test_late_pictures_are_left_out(now_s: float, expected_s: float):
     assert next_frame(10.0, 0.1, now_s) == pytest.approx(expected_s)
+
+
+def test_a_sensor_sends_each_stamp_once_if_the_robot_is_late():
+    sent, stop = [], threading.Event()
+    rig = SimpleNamespace(rate_hz=1e6, look=lambda pose: None, description=lambda stamp_ns: [],
+                          messages=lambda stamp_ns: [stamp_ns])  # fmt: skip
+    drive = SimpleNamespace(motion=SimpleNamespace(stamp_ns=0, pose=POSE))
+
+    def move() -> None:
+        for stamp_ns in range(1, 6):
+            time.sleep(0.01)
+            drive.motion = SimpleNamespace(stamp_ns=stamp_ns, pose=POSE)
+        time.sleep(0.01)
+        stop.set()
+
+    mover = threading.Thread(target=move)
+    mover.start()
+    _sense(rig, drive, SimpleNamespace(send=sent.extend), stop)
+    mover.join()
+    assert len(sent) > 1
+    assert sent == sorted(set(sent))
 
 
 @pytest.mark.parametrize("sensor", ["camera", "lidar"])
