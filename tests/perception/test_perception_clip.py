@@ -130,10 +130,12 @@ class _Card:
     name, text_encoder, text_dim = "detector", None, DIM
 
 
-def test_the_text_model_is_used_if_its_file_exists(text_card, tmp_path):
+def test_the_text_model_is_used_if_its_file_exists(text_card, tmp_path, caplog):
     np.savez(tmp_path / "words.npz", names=np.array(["chair"]), emb=np.eye(1, DIM))
     card = text_card()
+    caplog.set_level("INFO")
     assert isinstance(make_text_encoder(_Card, str(tmp_path / "words.npz")), ClipTextEncoder)
+    assert "perception.detector.vocabulary: not read" in caplog.text
     card.path.unlink()
     assert isinstance(make_text_encoder(_Card, str(tmp_path / "words.npz")), TextEmbeddings)
     with pytest.raises(PromptError) as raised:

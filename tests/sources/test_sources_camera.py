@@ -94,7 +94,7 @@ def reading(address: str) -> Iterator[CameraReader]:
     ("options", "message"),
     [
         ({"address": ""}, r"address: ''; give a URL, a device"),
-        ({"address": 0}, "address: 0; give a URL"),
+        ({"address": 0}, "address: expected a text, got 0"),
         ({"intrinsics": [1, 2, 3]}, r"intrinsics: \[1, 2, 3\]; give \[fx, fy, cx, cy\] in px"),
         ({"intrinsics": [0, 1, 2, 3]}, "intrinsics: "),
         ({"intrinsics": [1, 2, float("nan"), 3]}, "intrinsics: "),

@@ -61,11 +61,13 @@ def check_text_encoder(card_name: str | None, vocabulary: str | None) -> None:
 def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEncoder:
     """Open a text encoder; see `make_text_encoder`."""
     if named is not None and named.tokenizer.kind == "attributes":
+        _note_unused(vocabulary, named)
         return AttributeEncoder(named)
     models = [named] if named is not None else _vocabulary_models()
     for model in models:
         # No vocabulary replaces a model of another family: if missing, ClipTextEncoder raises.
         if model.path.is_file() or model.family != VOCABULARY_FAMILY:
+            _note_unused(vocabulary, model)
             return ClipTextEncoder(model)
     try:
         return TextEmbeddings(vocabulary)
@@ -76,6 +78,11 @@ def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEnc
             f"no text embeddings: found neither a CLIP text model ({wanted}), nor a vocabulary: "
             f"{error}"
         ) from None
+
+
+def _note_unused(vocabulary: str | None, model: TextCard) -> None:
+    if vocabulary is not None:
+        log.info("perception.detector.vocabulary: not read: %s encodes the prompts", model.name)
 
 
 def _vocabulary_models() -> list[TextCard]:
