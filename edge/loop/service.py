@@ -46,7 +46,8 @@ from edge.loop.stages import (
 )
 from edge.loop.status import Part, PartsStatus
 from edge.memory import START, Place, Site, SiteFile, known_objects
-from edge.mission.run import MissionRun
+from edge.mission.destinations import RoomTarget
+from edge.mission.run import MissionRun, forget_places
 from edge.mission.spec import MissionSpec, task_state
 from edge.mission.travel_cost import make_travel_cost_estimator
 from edge.perception.masks.ground import GroundClassifier
@@ -277,7 +278,14 @@ class Service:
         with self.error_boundary.contain("restore pictures", last_pose.now_ns):
             checkpoint.crops.restore(self.map.crops)
         if resumed:
-            self.mission.sets.mark_stale_before(self.map.tracker.newest_id)
+            mission, newest_room = self.mission, self.map.rooms.survey.next_id - 1
+            is_room = {n: isinstance(d, RoomTarget) for n, d in mission.destinations.items()}
+            mission.sets.mark_stale_before(
+                {
+                    label: newest_room if is_room.get(label) else self.map.tracker.newest_id
+                    for label in mission.sets.failed
+                }
+            )
         else:
             self._reset_search()
         min_hits = self.config.perception.min_hits
@@ -435,6 +443,7 @@ class Service:
         self.event("pose jumped: the map and the objects were cleared", now_ns)
         if not self.config.source.localised:
             self.site.start = None
+            forget_places(self.mission, now_ns)
             if self.site.site.items:
                 text = "pose jumped: places and zones were removed: they were in the old map frame"
                 self.event(text, now_ns)

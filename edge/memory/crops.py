@@ -80,16 +80,19 @@ class CropStore:
     def rename(self, ids: Mapping[int, int]) -> None:
         """Move pictures to another object, when a new object turned out to be a known one.
 
+        The better picture of the two stays.
+
         Args:
             ids: id of the known object, by id of the new one.
         """
         for new, old in ids.items():
             if (value := self._best.pop(new, None)) is not None:
-                self._best[old] = value
+                self._best[old] = max(value, self._best.get(old, 0.0))
             with self._lock:
                 picture = self._jpeg.pop(new, None)
                 self._n_bytes -= 0 if picture is None else len(picture[1])
-                self._store(self._jpeg, old, picture)
+                if picture is not None and picture[0] >= self._jpeg.get(old, (0.0,))[0]:
+                    self._store(self._jpeg, old, picture)
 
     def clear(self) -> None:
         """Remove all pictures; those that are being encoded are dropped."""

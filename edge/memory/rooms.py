@@ -6,6 +6,7 @@ that has a row in this table, such as "bed".
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache, lru_cache
@@ -33,6 +34,7 @@ _VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has 
 # Largest vote of an object against a kind. The largest votes for a kind are near 1, and the
 # logarithm of a very small probability would outweigh them all.
 _MAX_AGAINST = 1.0
+_SAME_SPOT_M = 2.0  # a name that is given this near to an older one replaces it
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
@@ -113,7 +115,7 @@ class MappedRoom(RoomShape):
     """A room of the map: its shape, and what the service knows about it.
 
     Attributes:
-        name: name that a person gave; "" for none.
+        names: names that people gave, the newest last. An open-plan room may have several.
         kinds: kinds of the room that are certain enough. An open-plan room may be kitchen and
             living room.
         chance: probability of each kind of the prior's table; 1 for a kind that a person named.
@@ -121,11 +123,20 @@ class MappedRoom(RoomShape):
         is_visited: True if the robot was inside.
     """
 
-    name: str
+    names: tuple[str, ...]
     kinds: tuple[str, ...]
     chance: dict[str, float]
     held: np.ndarray
     is_visited: bool
+
+    @property
+    def name(self) -> str:
+        """The newest name that a person gave; "" for none."""
+        return self.names[-1] if self.names else ""
+
+    def is_called(self, name: str) -> bool:
+        """Return True if a person gave the room this name."""
+        return any(is_same(own, name) for own in self.names)
 
     @property
     def title(self) -> str:
@@ -140,7 +151,7 @@ class MappedRoom(RoomShape):
     @property
     def is_named(self) -> bool:
         """True if a person's name says what kind of room it is."""
-        return kind_of_room(self.name) is not None
+        return any(kind_of_room(name) is not None for name in self.names)
 
     @property
     def reason(self) -> str:
@@ -234,7 +245,7 @@ class RoomMemory:
                 shape,
                 held[shape.region],
                 dict(zip(self._table.kinds, row.tolist(), strict=True)),
-                named.get(shape.id, ("",))[-1],
+                named.get(shape.id, ()),
                 shape.id in self._visited,
             )
             for shape, row in zip(shapes, chance, strict=True)
@@ -278,7 +289,7 @@ class RoomMemory:
 
     def find(self, name: str) -> list[MappedRoom]:
         """Return the rooms that a name means: by a person's name, else by number, else by kind."""
-        named = [room for room in self.rooms if room.name and is_same(room.name, name)]
+        named = [room for room in self.rooms if room.is_called(name)]
         numbered = [room for room in self.rooms if is_same(f"room {room.id}", name)]
         kind = kind_of_room(name)
         return named or numbered or [room for room in self.rooms if kind in room.kinds]
@@ -289,9 +300,7 @@ class RoomMemory:
         return [
             room
             for room in self.rooms
-            if (room.name and is_same(room.name, name))
-            or is_same(f"room {room.id}", name)
-            or kind in room.kinds
+            if room.is_called(name) or is_same(f"room {room.id}", name) or kind in room.kinds
         ]
 
     def with_object(self, name: str, objects: TrackedObjects, min_hits: int) -> list[MappedRoom]:
@@ -389,27 +398,39 @@ class RoomMemory:
 def _names_by_room(
     survey: RoomSurvey, room_names: Sequence[RoomName]
 ) -> dict[int, tuple[str, ...]]:
-    """Return the names of each room that has some, newest last."""
-    names: dict[int, tuple[str, ...]] = {}
+    """Return the names of each room that has some, newest last.
+
+    A name replaces one that was given at about the same place; an open-plan room may have several.
+    """
+    named: dict[int, list[RoomName]] = {}
     if room_names:
         at = survey.regions.at(np.array([one.xy_m for one in room_names], np.float32))
         for room_name, region in zip(room_names, at.tolist(), strict=True):
-            room_id = int(survey.ids[region])
-            if room_id:
-                names[room_id] = (*names.get(room_id, ()), room_name.name)
-    return names
+            if room_id := int(survey.ids[region]):
+                kept = [
+                    one
+                    for one in named.get(room_id, ())
+                    if math.dist(one.xy_m, room_name.xy_m) > _SAME_SPOT_M
+                ]
+                named[room_id] = [*kept, room_name]
+    return {room_id: tuple(one.name for one in found) for room_id, found in named.items()}
 
 
 def _mapped_room(
-    shape: RoomShape, held: np.ndarray, by_kind: dict[str, float], name: str, is_visited: bool
+    shape: RoomShape,
+    held: np.ndarray,
+    by_kind: dict[str, float],
+    names: tuple[str, ...],
+    is_visited: bool,
 ) -> MappedRoom:
-    """Return a room with its kinds, by a person's name or by the chance of each kind."""
+    """Return a room with its kinds, by people's names or by the chance of each kind."""
     found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)
-    if (by_person := kind_of_room(name)) is not None:
-        found, by_kind = (by_person,), {**dict.fromkeys(by_kind, 0.0), by_person: 1.0}
+    if by_person := tuple(dict.fromkeys(filter(None, map(kind_of_room, names)))):
+        found = by_person
+        by_kind = {**dict.fromkeys(by_kind, 0.0), **dict.fromkeys(by_person, 1.0)}
     of_shape = {field.name: getattr(shape, field.name) for field in fields(shape)}
     return MappedRoom(
-        **of_shape, name=name, kinds=found, chance=by_kind, held=held, is_visited=is_visited
+        **of_shape, names=names, kinds=found, chance=by_kind, held=held, is_visited=is_visited
     )
 
 

@@ -193,9 +193,17 @@ class Site:
         """Return the site with an item added. The new item replaces an item of the same name.
 
         Raises:
-            SiteError: the site has `MAX_FEATURES` items already.
+            SiteError: the site has `MAX_FEATURES` items already, or a zone and a place or room
+                would have one name.
         """
         kept = tuple(other for other in self.items if not is_same(other.name, item.name))
+        replaced = [other for other in self.items if is_same(other.name, item.name)]
+        if any(isinstance(other, Zone) != isinstance(item, Zone) for other in replaced):
+            kind = "a zone" if isinstance(replaced[0], Zone) else "a place or room"
+            raise SiteError(
+                f"site: {bounded_repr(item.name)} is the name of {kind} already; use another name, "
+                "or remove that first"
+            )
         if len(kept) >= MAX_FEATURES:
             raise SiteError(
                 f"site: at most {MAX_FEATURES} places and zones are allowed; remove one first"

@@ -25,6 +25,7 @@ from pydantic import (
     ValidationInfo,
 )
 
+from edge import names
 from edge.geometry import FARTHEST_M, SE2
 from edge.host.files import read_regular, write_atomically
 from edge.host.worker import Worker
@@ -185,9 +186,10 @@ def site_of(geojson: object, where: str = "site") -> Site:
         raise SiteError(f"{where}: {_first_error(error)}") from None
     seen: set[str] = set()
     for item in items:
-        if item.name in seen:
+        plain = names.normalise(name_of(item.name))
+        if plain in seen:
             raise SiteError(f"{where}: two features have the name {bounded_repr(item.name)}")
-        seen.add(item.name)
+        seen.add(plain)
     return Site(items)
 
 

@@ -69,5 +69,6 @@ class MissionMeter:
             self.pursued_s[target] = self.pursued_s.get(target, 0.0) + passed_s
 
     def begin_round(self) -> None:
-        """Exempt all time and path so far."""
+        """Exempt all time and path so far, and begin each search again."""
         self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
+        self.pursued_s.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from edge.mission.destinations import FailureTarget
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.spec import MissionSpec
 
@@ -21,6 +22,11 @@ class MissionProgress:
         self.round = 1
         self._spec = spec
         self._n_left_out = 0  # targets left out of rounds since one was reached
+        destinations = spec.translation.destinations
+        self._n_stops = sum(
+            not isinstance(destinations.get(name), FailureTarget)
+            for name in spec.automaton.possible
+        )
 
     @property
     def accepted(self) -> bool:
@@ -45,8 +51,8 @@ class MissionProgress:
         Return False, and do nothing, if that is not possible: the mission does not repeat, the
         target is forbidden now, or all others were left out since one was reached.
         """
-        n_left_out, spec = self._n_left_out, self._spec
-        if spec.translation.repeat is None or n_left_out >= len(spec.targets) - 1:
+        n_left_out = self._n_left_out
+        if self._spec.translation.repeat is None or n_left_out >= self._n_stops - 1:
             return False
         if self._is_forbidden(label):
             return False

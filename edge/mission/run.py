@@ -13,6 +13,7 @@ from edge.mission.destinations import (
     FailureTarget,
     PlaceTarget,
     RoomTarget,
+    WaitTarget,
     has_own_end,
 )
 from edge.mission.logic.automaton import NOTHING
@@ -168,7 +169,9 @@ class MissionRun:
     def observe(self, pose: SE2 | None, now_ns: int, searching: bool = True) -> None:
         """Count time and path; see `MissionMeter.add`."""
         target = self.target if self.active else None
-        exempt = searching and has_own_end(self.destinations.get(self.target))
+        destination = self.destinations.get(self.target)
+        searching = searching or isinstance(destination, WaitTarget)  # which needs no sensors
+        exempt = searching and has_own_end(destination)
         self.meter.add(pose, now_ns, target, exempt, searching)
 
     def check_limits(self, now_ns: int) -> None:
@@ -345,6 +348,19 @@ class MissionRun:
             shown = repeat.shown_round(progress.round, self.meter.elapsed_s)
             self.log_event(now_ns, "round", "", shown)
         return True
+
+
+def forget_places(mission: MissionRun, now_ns: int) -> None:
+    """Give up the places of a mission, whose poses are in an old map frame, in all rounds."""
+    places = mission.destinations.items()
+    lost = [name for name, place in places if isinstance(place, PlaceTarget) and place.pose]
+    if mission.done or not lost:
+        return
+    for name in lost:
+        reason = f"{name}: its place was in the old map frame"
+        mission.sets.add_lost(name, reason)
+        mission.log_event(now_ns, "failed", name, f"failed: {reason}")
+    mission.replan(now_ns, retarget=mission.target in lost)
 
 
 def _rounds_text(rounds: int, results: Sequence[str]) -> str:

@@ -202,8 +202,8 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     """Compile and check a translated formula for the configured planner; see `prepare`."""
     formula = _with_one_name(translation.formula, translation.destinations)
     translation = replace(translation, formula=formula)
-    names = ltl.propositions(formula)
-    _check_number(config, len(names))
+    propositions = ltl.propositions(formula)
+    _check_number(config, len(propositions))
     automaton = compile_formula(formula, compiler=config.compiler)
     diagnosis = diagnose(automaton)
     if diagnosis.contradiction:
@@ -218,7 +218,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
             f"mission: {one_line(formula)} ({one_line(translation.english)}) is fulfilled by doing "
             f"nothing{always}; name something to reach"
         )
-    targets = tuple(name for name in names if name not in diagnosis.unused)
+    targets = tuple(name for name in propositions if name not in diagnosis.unused)
     automaton = _without_unused(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)

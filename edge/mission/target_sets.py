@@ -33,6 +33,7 @@ class TargetSets:
         # Target → highest id of its known instances, and the same at the time when it failed.
         self._newest_ids = dict.fromkeys(self.detected, 0)
         self._stale_ids: dict[str, int] = {}
+        self._lost: frozenset[str] = frozenset()  # in B in all rounds
 
     @property
     def knowledge(self) -> MissionKnowledge:
@@ -81,20 +82,26 @@ class TargetSets:
         self._stale_ids[label] = self._newest_ids.get(label, -1)
         self._why_failed[label] = reason
 
+    def add_lost(self, label: str, reason: str) -> None:
+        """Move a target from D to B for all rounds."""
+        self.add_failed(label, reason)
+        self._lost |= {label}
+
     def begin_round(self) -> None:
-        """Empty R and B: all known targets are candidates again."""
-        self.reached, self.failed = (), frozenset()
-        self.detected = frozenset(self._newest_ids)
-        self._stale_ids, self._why_failed = {}, {}
+        """Empty R and B: all known targets are candidates again, except those that are lost."""
+        self.reached, self.failed = (), self._lost
+        self.detected = frozenset(self._newest_ids) - self._lost
+        self._stale_ids = {label: self._newest_ids.get(label, -1) for label in self._lost}
+        self._why_failed = {k: why for k, why in self._why_failed.items() if k in self._lost}
 
     def restore(self, reached: Iterable[str], failed: Iterable[str]) -> None:
         """Continue with saved sets."""
         self.reached, self.failed = tuple(reached), frozenset(failed)
         self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
 
-    def mark_stale_before(self, newest: int) -> None:
-        """Mark the instances up to this id as known before a restart.
+    def mark_stale_before(self, newest: Mapping[str, int]) -> None:
+        """Mark the instances up to these ids, one for each target, as known before a restart.
 
         A failed target counts as detected again only with a newer instance.
         """
-        self._stale_ids = dict.fromkeys(self.failed, newest)
+        self._stale_ids = {label: newest[label] for label in self.failed}

@@ -5,7 +5,7 @@ A survey is one such computation. The planner uses the distances as weights.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,13 +13,11 @@ import numpy as np
 from edge.config import PlannerInOrder, PlannerPlugin, PlannerVitl
 from edge.geometry import SE2
 from edge.host.worker import Worker
-from edge.mission.destinations import PlaceTarget
 from edge.mission.planning.distances import distances
 
 if TYPE_CHECKING:
     from edge.mapping.grid import RollingMap
     from edge.mission.run import MissionRun
-    from edge.perception.tracking.instances import InstanceTracker
 
 PERIOD_NS = 1_000_000_000
 """Least time between the starts of two surveys."""
@@ -44,11 +42,19 @@ class TravelCostEstimator:
         self,
         mission: MissionRun,
         grid: RollingMap,
-        tracker: InstanceTracker,
+        positions_of: Callable[[str], Iterable[Sequence[float]]],
         pose: SE2,
         now_ns: int,
     ) -> None:
-        """Pass a finished survey to the mission, and start another one if it is due."""
+        """Pass a finished survey to the mission, and start another one if it is due.
+
+        Args:
+            mission: the mission.
+            grid: the map.
+            positions_of: returns the known positions (x, y) of a target, each one enough to reach.
+            pose: pose of the robot.
+            now_ns: loop time.
+        """
         distance_m = self._worker.poll()  # see `MissionKnowledge.distance_m`
         if distance_m is not None and not (mission.done or mission.paused):
             mission.sets.distance_m = distance_m
@@ -57,19 +63,10 @@ class TravelCostEstimator:
         if not is_time or not self._worker.idle:
             return
         self._requested_ns = now_ns
-        places = {
-            name: destination.pose
-            for name, destination in mission.destinations.items()
-            if isinstance(destination, PlaceTarget) and destination.pose is not None
-        }
-        # For each proposition of the formula, the positions of its known instances in `map`.
-        xy_m = [
-            [(places[name].x_m, places[name].y_m)]
-            if name in places
-            else [instance.center_m[:2] for instance in tracker.of(name)]
+        positions = [
+            np.array(list(positions_of(name)), np.float64).reshape(-1, 2)
             for name in mission.spec.automaton.propositions
         ]
-        positions = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
 
         def survey() -> np.ndarray:
             # Cells that are too near to an obstacle for the robot get the value 50.

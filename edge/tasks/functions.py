@@ -152,7 +152,7 @@ class ScriptFunctions:
             raise CallError(
                 f"visual_3d: {MOST_SHOWN} trajectories are shown already; more are not allowed"
             )
-        self.shown_trajectories += coarse_of(points, (), None, self.limits).segments
+        self.shown_trajectories += coarse_of(points, (), None).segments
 
     def give_trajectory(
         self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
@@ -161,7 +161,7 @@ class ScriptFunctions:
         if self.trajectory is not None:
             raise CallError("give_trajectory: a trajectory was given already; call it only once")
         regions = _without_texts(regions, self._scene)
-        coarse = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
+        coarse = coarse_of(segments, regions, speed_mps, heading_rad)
         check(coarse, self.ground, self.limits)
         self.trajectory = coarse
 

@@ -54,7 +54,7 @@ class CoarseTrajectory:
 
 
 def coarse_of(
-    segments: Any, regions: Any, speed_mps: Any, limits: TrajectoryLimits, heading_rad: Any = None
+    segments: Any, regions: Any, speed_mps: Any, heading_rad: Any = None
 ) -> CoarseTrajectory:
     """Make a trajectory from the values that a script hands over, which may be anything.
 
@@ -62,7 +62,6 @@ def coarse_of(
         segments: lists of points, or one list of points.
         regions: ids of regions; None: any.
         speed_mps: a number or None.
-        limits: limits of trajectories.
         heading_rad: a number or None.
 
     Raises:

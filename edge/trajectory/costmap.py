@@ -128,7 +128,7 @@ def from_occupancy(
     step_m = resolution_m / 16
     entries = int((clearance_m + near_m) / step_m) + 2
     at_m = np.arange(entries) * step_m
-    near = near_cost * np.clip(1.0 - (at_m - clearance_m) / near_m, 0.0, 1.0) ** 2
+    near = near_cost * np.clip(1.0 - (at_m - clearance_m) / max(near_m, step_m), 0.0, 1.0) ** 2
     table = np.stack([1.0 + near, (unknown_cost or 1.0) + near]) * UNIT
     table = np.clip(np.rint(table), 1, 255).astype(np.uint8)
     table[:, at_m < max(clearance_m, step_m)] = 0

@@ -37,6 +37,24 @@ def test_an_object_with_a_new_id_is_found_again(objects, asked, found):
     assert (None if obj is None else obj.id) == found
 
 
+def test_a_nearer_approach_keeps_off_the_ground_to_avoid(monkeypatch):
+    scene = street(Thing("van", 5.0, 0.0))
+    monkeypatch.setattr(plan_worker, "_scene", lambda request: scene)
+    shown = []
+    monkeypatch.setattr(
+        plan_worker, "_write_up_to", lambda n, request, scene: shown.append(scene) or PlanResult()
+    )
+    for instruction in ("go to the van", "go to the van, avoid the lawn"):
+        request = plan_worker.PlanRequest(
+            simulated({}), instruction, 0, (1,), 1, None, None, (), ObjectMap(), None, None,
+            before=PlanResult(), nearer_to=(1, "van"),
+        )  # fmt: skip
+        run_request(request)
+    closed = [int((one.occupancy.cells >= 50).sum()) for one in shown]
+    assert len(closed) == 2
+    assert closed[1] > closed[0]
+
+
 @pytest.mark.parametrize(
     ("chosen", "drivable"), [({"lawn"}, {2}), ({"road", "lawn"}, {1, 2}), ({"path"}, {1, 2})]
 )

@@ -76,6 +76,16 @@ def test_a_moved_object_keeps_its_new_picture(store):
     assert color_of(store.get(1)) == pytest.approx(BLUE, abs=12)
 
 
+def test_of_two_pictures_of_an_object_the_better_one_stays(store):
+    store.observe([seen(1)], image())
+    store.observe([seen(9, 0.1, (50, 50, 80, 70))], image(BLUE))
+    store.rename({9: 1})
+    assert store.get(9) is None
+    assert color_of(store.get(1)) == pytest.approx(RED, abs=12)
+    store.observe([seen(1, 0.2)], image(BLUE))
+    assert color_of(store.get(1)) == pytest.approx(RED, abs=12)
+
+
 @pytest.mark.parametrize(("limit", "value"), [("MAX_CROPS", 2), ("MAX_CROP_BYTES", 1500)])
 def test_over_the_limit_the_oldest_goes(store, monkeypatch, limit, value):
     monkeypatch.setattr(crops, limit, value)

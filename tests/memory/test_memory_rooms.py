@@ -206,6 +206,24 @@ def test_a_name_by_a_person_is_certain():
     assert rooms.find("bathroom")[0].id == left.id
 
 
+@pytest.mark.parametrize(
+    ("at_m", "titles", "kinds"),
+    [
+        ((2.4, 3.4), ["kitchen", "living room"], ("kitchen", "living room")),
+        ((1.2, 1.2), ["living room"], ("living room",)),
+    ],
+    ids=["an open-plan room", "another name for one place"],
+)
+def test_an_open_plan_room_has_several_names(at_m, titles, kinds):
+    site = Site((RoomName("kitchen", (1.0, 1.0)), RoomName("living room", at_m)))
+    rooms = memory(cut(LEFT), site=site)
+    (room,) = rooms.rooms
+    assert (room.title, room.kinds) == ("living room", kinds)
+    for name in ("kitchen", "living room"):
+        assert rooms.find(name) == ([room] if name in titles else [])
+        assert rooms.is_in(name, 1.0, 1.0) == (name in titles)
+
+
 def test_a_robot_is_inside_away_from_the_border():
     rooms = memory(cut(LEFT, RIGHT))
     assert rooms.entered_room(1.5, 2.0) == 1

@@ -108,6 +108,18 @@ def test_an_item_replaces_the_one_of_its_name():
 
 
 @pytest.mark.parametrize(
+    ("before", "new"),
+    [
+        (Zone("stairs", "keep_out", ((0, 0), (1, 0), (1, 1))), Place("The stairs", SE2(0, 0, 0))),
+        (Place("stairs", SE2(0, 0, 0)), Zone("stairs", "keep_out", ((0, 0), (1, 0), (1, 1)))),
+    ],
+)
+def test_a_place_does_not_replace_a_zone_nor_a_zone_a_place(before, new):
+    with pytest.raises(SiteError, match=r"is the name of a (zone|place or room) already"):
+        Site((before,)).with_item(new)
+
+
+@pytest.mark.parametrize(
     ("data", "message"),
     [
         ([], "here: Input should be a valid dictionary or instance of _Collection"),
@@ -134,6 +146,8 @@ def test_an_item_replaces_the_one_of_its_name():
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 0]]])),
          "here: features.0: zone dock: give at least three different corners"),
         (collection(feature(), feature(name="The dock")), "two features have the name 'dock'"),
+        (collection(feature(name="room 12"), feature(name="room twelve")),
+         "two features have the name 'room twelve'"),
     ],
 )  # fmt: skip
 def test_an_invalid_site_is_refused_in_one_line(data, message):

@@ -71,6 +71,7 @@ def test_an_order_with_a_period_repeats_with_a_wait(instruction, formula, limit_
         ("don't check the stove every 10 minutes", "only an order to drive"),
         ("pause every hour", "only an order to drive"),
         ("every hour", "no times of day"),
+        ("every 10 minutes go to the bed for 2 hours", "say 'every 10 minutes for 2 hours, …'"),
     ],
 )
 def test_a_period_of_something_else_is_refused(instruction, reason):

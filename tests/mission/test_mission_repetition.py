@@ -137,8 +137,9 @@ def test_a_failed_stop_is_retried_in_the_next_round():
     assert mission.reason == "2 rounds done"
 
 
-def test_a_patrol_fails_if_no_stop_is_reachable():
-    mission = begun(repeat=Repetition())
+@pytest.mark.parametrize("formula", [PATROL, f"{PATROL} & G !dog"])
+def test_a_patrol_fails_if_no_stop_is_reachable(formula):
+    mission = begun(formula, repeat=Repetition())
     mission.abandon_target("no path to dock", S)
     assert mission.target == "shelf"
     mission.abandon_target("no path to shelf", S)

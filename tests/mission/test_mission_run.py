@@ -7,9 +7,10 @@ import pytest
 
 from edge.config import MissionConfig, PlannerVitl
 from edge.geometry import SE2
+from edge.memory import Place, Site
 from edge.mission.checkpoint import restore, state_of
 from edge.mission.instructions import MissionError
-from edge.mission.run import MissionRun
+from edge.mission.run import MissionRun, forget_places
 from edge.mission.spec import prepare
 
 S = 1_000_000_000
@@ -85,7 +86,7 @@ def test_a_target_failed_before_a_restart_needs_a_new_instance():
     second = MissionRun(mission.spec, config)
     second.sets.restore((), {"chair"})
     second.start(0)
-    second.sets.mark_stale_before(7)
+    second.sets.mark_stale_before(dict.fromkeys(second.sets.failed, 7))
     second.on_detections({"chair": 7}, S)
     assert second.sets.failed == {"chair"}
     second.abandon_target("no way to it", 2 * S)
@@ -93,7 +94,7 @@ def test_a_target_failed_before_a_restart_needs_a_new_instance():
     third = MissionRun(mission.spec, config)
     third.sets.restore((), {"chair"})
     third.start(0)
-    third.sets.mark_stale_before(7)
+    third.sets.mark_stale_before(dict.fromkeys(third.sets.failed, 7))
     third.on_detections({"chair": 8}, S)
     assert third.target == "chair"
 
@@ -105,6 +106,28 @@ def test_an_empty_step_is_taken_if_the_formula_needs_one():
     assert mission.target == "chair"
     mission.on_reached("", 2 * S)
     assert mission.done
+
+
+def test_places_of_an_old_map_frame_are_given_up_in_all_rounds():
+    site = Site((Place("dock", SE2(1.0, 2.0, 0.0)), Place("shelf", SE2(3.0, 2.0, 0.0))))
+    config = MissionConfig()
+    spec = prepare(config, formula="F dock & F (shelf | bed)", site=site)
+    mission = MissionRun(spec, config)
+    mission.start(0)
+    forget_places(mission, S)
+    assert (mission.done, mission.sets.failed) == (True, {"dock", "shelf"})
+    assert "dock: its place was in the old map frame" in mission.reason
+    mission.sets.begin_round()
+    mission.sets.on_detections({"dock": 0, "shelf": 0, "bed": 3}, keep=False)
+    assert (mission.sets.detected, mission.sets.failed) == ({"bed"}, {"dock", "shelf"})
+
+
+def test_a_wait_goes_on_without_sensors():
+    mission = begun('F "wait 1 min"', time_limit_s=10)
+    for t_s in range(31):
+        mission.observe(None, t_s * S, searching=False)
+    mission.check_limits(31 * S)
+    assert (mission.done, mission.pursued_now_s) == (False, 30.0)
 
 
 @pytest.mark.parametrize(

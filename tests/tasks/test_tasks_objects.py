@@ -164,6 +164,18 @@ def test_objects_that_grow_together_merge_without_reused_ids():
     assert things.add("hedge", block(50.0)).id == 3
 
 
+def test_two_of_one_picture_stay_two_when_one_of_them_merges():
+    """Benches 2 and 3 are in one picture; then 1 and 2 turn out to be one."""
+    things, size = ObjectMap(), (1.0, 0.6, 1.0)
+    things.add("bench", block(0.0, size=size), picture=1)
+    for x_m in (1.6, 2.7):
+        things.add("bench", block(x_m, size=size), picture=2)
+    things.add("bench", block(0.95, size=(2.0, 0.6, 1.0), n=1500), picture=3)
+    assert list(things.objects) == [1, 3]
+    things.add("bench", block(2.7, size=size, seed=1), picture=4)
+    assert list(things.objects) == [1, 3]
+
+
 def test_a_long_drive_forgets_the_votes_that_are_oldest(monkeypatch):
     monkeypatch.setattr(objects, "MOST_VOTES", 100)
     seen, places = ObjectMap(), np.arange(5000)[:, None] * (0.1, 0.0, 0.0) + 0.05

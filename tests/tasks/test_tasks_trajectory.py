@@ -38,7 +38,7 @@ def line(*ends, step_m=1.0):
     ],
 )
 def test_accepted_segments_become_a_trajectory(segments, shape):
-    coarse = coarse_of(segments, [1, 1, 2], None, LIMITS)
+    coarse = coarse_of(segments, [1, 1, 2], None)
     assert [points.shape for points in coarse.segments] == shape
     assert all(points.dtype == np.float64 for points in coarse.segments)
     assert coarse.regions == (1, 2)
@@ -64,7 +64,7 @@ def test_accepted_segments_become_a_trajectory(segments, shape):
 )
 def test_invalid_segments_are_refused(segments, message):
     with pytest.raises(TrajectoryError, match=f"^{message}") as raised:
-        coarse_of(segments, (), None, LIMITS)
+        coarse_of(segments, (), None)
     assert "\n" not in str(raised.value)
     assert len(str(raised.value)) < 200
 
@@ -72,7 +72,7 @@ def test_invalid_segments_are_refused(segments, message):
 @pytest.mark.parametrize("regions", [7, "1", [0], [256], [10**5000], [1.0], [True], [None], [[1]]])
 def test_invalid_regions_are_refused(regions):
     with pytest.raises(TrajectoryError, match=r"^regions: expected "):
-        coarse_of([(0, 0)], regions, None, LIMITS)
+        coarse_of([(0, 0)], regions, None)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ JUNK = st.recursive(
 def test_junk_is_refused_or_safe(segments, regions, speed_mps):
     """An accepted trajectory is within every limit, from any author."""
     try:
-        coarse = coarse_of(segments, regions, speed_mps, LIMITS)
+        coarse = coarse_of(segments, regions, speed_mps)
         check(coarse, GROUND, LIMITS)
     except TrajectoryError:
         return

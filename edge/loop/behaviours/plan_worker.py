@@ -355,11 +355,7 @@ def _frame_detector(request: PlanRequest) -> FrameDetector | None:
 def _refine(request: PlanRequest, before: PlanResult, refined: RefinedTrajectory) -> PlanResult:
     """Refine the rest of an earlier trajectory on the current map."""
     config = request.config
-    scene, limits = _scene(request), _motion_limits(config, before)
-    if not is_by_model(config):
-        clearance_m = _margins(config).clearance_m
-        avoided = route_limits(request.instruction, scene)
-        scene = limited_ground(ground_of(scene, clearance_m), avoided, clearance_m).scene
+    scene, limits = _scene_without_avoided(request), _motion_limits(config, before)
     # The ids of regions are those of an earlier scene.
     chosen = {k for k, region in scene.regions.items() if region.label in before.grounds}
     refined = replace(refined, drivable=frozenset(chosen or scene.regions))
@@ -372,12 +368,13 @@ def _approach(request: PlanRequest, obj: tuple[int, str]) -> PlanResult:
 
     The result has no trajectory if the approach is below `NEARER_M`.
     """
-    scene = _scene(request)
+    scene = _scene_without_avoided(request)
     found = _find_again(obj, scene)
     if found is None:
         return PlanResult()
     instruction = f"go to object {found.id}"
-    result = _write(replace(request, instruction=instruction, n_driven=0, ends=(1,), n_steps=1))
+    nearer = replace(request, instruction=instruction, n_driven=0, ends=(1,), n_steps=1)
+    result = _write_up_to(1, nearer, scene)
     if result.refined is None:
         return result
     x_m, y_m, _, yaw_rad = result.refined.poses[-1].tolist()
@@ -411,6 +408,16 @@ def _scene(request: PlanRequest) -> Scene:
         object_map=request.objects,
         ground=request.ground,
     )
+
+
+def _scene_without_avoided(request: PlanRequest) -> Scene:
+    """Return the scene in which what the rules read as "avoid …" is closed."""
+    scene, config = _scene(request), request.config
+    if is_by_model(config):
+        return scene
+    clearance_m = _margins(config).clearance_m
+    avoided = route_limits(request.instruction, scene)
+    return limited_ground(ground_of(scene, clearance_m), avoided, clearance_m).scene
 
 
 def _task_settings(config: Config) -> TasksConfig:

@@ -5,12 +5,15 @@ The search behaviour and its `RoomPursuit` use it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from edge.geometry import SE2
 from edge.loop.scoring.prior import LEAST, MOST
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, RoomMemory, Site
-from edge.mission.destinations import RoomTarget
+from edge.mission.destinations import PlaceTarget, RoomTarget, WaitTarget
 from edge.mission.instructions import MissionError
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec
@@ -96,6 +99,20 @@ def known_targets(mission: MissionRun, semantic_map: SemanticMap) -> dict[str, i
         elif found := rooms_of(target, semantic_map):
             known[name] = max(room.id for room in found)
     return known
+
+
+def positions_of_target(
+    mission: MissionRun, semantic_map: SemanticMap, pose: SE2, name: str
+) -> list[Sequence[float]]:
+    """Return the positions (x, y) of a target; the robot's own for a wait, [] if none is known."""
+    target = mission.destinations.get(name)
+    if isinstance(target, WaitTarget):
+        return [(pose.x_m, pose.y_m)]
+    if isinstance(target, PlaceTarget):
+        return [] if target.pose is None else [(target.pose.x_m, target.pose.y_m)]
+    if isinstance(target, RoomTarget):
+        return [at for room in rooms_of(target, semantic_map) for at in room.points_m.tolist()]
+    return [instance.center_m[:2].tolist() for instance in semantic_map.tracker.of(name)]
 
 
 def close_forbidden(mission: MissionRun, semantic_map: SemanticMap) -> None:

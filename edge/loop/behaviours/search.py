@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from edge.loop.behaviours.room_pursuits import (
     RoomPursuit,
     SearchRoomPursuit,
 )
-from edge.loop.behaviours.room_targets import close_forbidden, known_targets
+from edge.loop.behaviours.room_targets import close_forbidden, known_targets, positions_of_target
 from edge.loop.behaviours.tours import (
     EveryObjectInRoomPursuit,
     EveryObjectPursuit,
@@ -136,7 +137,8 @@ class SearchBehaviour:
         mission.on_detections(seen | known_targets(mission, self._map), now_ns)
         close_forbidden(mission, self._map)
         if self._travel_costs is not None:
-            self._travel_costs.step(mission, grid, self._map.tracker, pose, now_ns)
+            positions_of = partial(positions_of_target, mission, self._map, pose)
+            self._travel_costs.step(mission, grid, positions_of, pose, now_ns)
         if goals.follows(mission) and mission.active:
             self._pursuit.check_progress(context, images)
             self._forget_last_round()

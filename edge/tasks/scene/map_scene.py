@@ -15,7 +15,7 @@ from edge.tasks.scene.captions import caption_with_place
 from edge.tasks.scene.frames import areas_px2, contours_of, transformed
 from edge.tasks.scene.ground import reachable
 from edge.tasks.scene.ground_votes import GroundVotes
-from edge.tasks.scene.objects import MapObject, ObjectMap, box_around, overlap_share
+from edge.tasks.scene.objects import SAME_SHARE, MapObject, ObjectMap, box_around, overlap_share
 from edge.tasks.scene.scene import Scene, SceneObject
 from edge.tasks.scene.value_map import open_cells
 from edge.types import Detections, Instance, Observation
@@ -79,7 +79,7 @@ def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> li
             obj for obj in object_map.objects.values() if names.same_name(obj.label, instance.label)
         ]
         share = [overlap_share(instance.points_m, obj.points_m) for obj in same_name]
-        if share and max(share) > 0.0:
+        if share and max(share) >= SAME_SHARE:
             obj = same_name[int(np.argmax(share))]
             points_m, key = object_map.confirmed_points_m(obj), obj.id
         merged = MapObject(

@@ -317,6 +317,10 @@ class ObjectMap:
             if other is not first:
                 _absorb(first, other)
                 del self.objects[other.id]
+                for obj in self.objects.values():
+                    if other.id in obj.seen_with:
+                        obj.seen_with = obj.seen_with - {other.id} | {first.id}
+        first.seen_with.discard(first.id)
         return first
 
 
@@ -331,7 +335,8 @@ def _likeness(a: MapObject, b: MapObject) -> float:
     if apart.max() > NEAR_M:
         return 0.0
     shares = overlap_share(a.points_m, b.points_m), overlap_share(b.points_m, a.points_m)
-    together = b.id in a.seen_with or (a.picture is not None and a.picture == b.picture)
+    together = b.id in a.seen_with or a.id in b.seen_with
+    together = together or (a.picture is not None and a.picture == b.picture)
     if a.label == b.label and not together:
         return max(shares) if max(shares) >= SAME_SHARE else 0.0
     return max(shares) if min(shares) >= ALIKE_SHARE else 0.0
@@ -350,4 +355,6 @@ def _absorb(target: MapObject, other: MapObject) -> None:
     for label, counts in other.captions.items():
         target.captions.setdefault(label, Counter()).update(counts)
     target.score, target.hits = max(target.score, other.score), hits
-    target.picture, target.seen_with = other.picture, target.seen_with | other.seen_with
+    target.seen_with = target.seen_with | other.seen_with
+    if other.picture is not None and (target.picture is None or other.picture > target.picture):
+        target.picture = other.picture

@@ -106,7 +106,7 @@ class MaplessFunctions(ScriptFunctions):
         self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
     ) -> None:
         """Hand over the trajectory without a check."""
-        self.trajectory = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
+        self.trajectory = coarse_of(segments, regions, speed_mps, heading_rad)
 
 
 def _refine(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:

@@ -25,6 +25,7 @@ _FIRST = re.compile(rf"\s*{_PERIOD}(?:{_LIMIT})?,? (?P<order>\S.*)", re.I | re.S
 _LAST = re.compile(
     rf"(?P<order>\S.*?),?\s+{_PERIOD}(?:{_LIMIT}|{_ENDLESS})?{_BAN}?{_THANKS}", re.I | re.S
 )
+_ENDS = re.compile(rf" for {DURATION}(?={_THANKS}$)", re.I)
 _DENIED = re.compile(r"(?:do not|don't|never|stop)\b", re.I)
 # "go to the dock, then to the shelf, and do this [every hour]": all orders before it
 _AGAIN = re.compile(
@@ -69,6 +70,8 @@ def split_period(instruction: str) -> Period | None:
         raise unclear(said, "only an order to drive can be repeated after a time")
     if found.re is _FIRST and re.search(r"[.;]\s*\w", order):
         raise unclear(said, "unclear which orders it repeats; say them in one sentence")
+    if found.re is _FIRST and (ends := _ENDS.search(order)):
+        raise unclear(ends[0].strip(), f"unclear if the rounds end then; say '{said}{ends[0]}, …'")
     is_set_off = instruction[found.end("order") :].startswith(",") or _AGAIN.search(order)
     order = _AGAIN.sub("", order)
     has_several = re.search(r"[.;]\s*\w", order) if is_set_off else _has_several_orders(order)
