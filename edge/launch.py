@@ -64,7 +64,7 @@ _CHILD_STOP_S = 5.0  # time for a child process to end after SIGTERM, before it 
 _CHILD_CHECK_S = 0.2  # period of the checks if a child process has ended
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LaunchedService(RunningService):
     """A running service with its Zenoh session and its sinks."""
 
@@ -84,6 +84,7 @@ def open_service(
     problems: Callable[[], Sequence[str]] = tuple,
     make_source: Callable[..., Source] | None = None,
     latch: StopLatch | None = None,
+    clock: Callable[[], int] | None = None,
 ) -> Iterator[LaunchedService]:
     """Prepare the mission, open Zenoh, load the detector and compile kernels; close all at exit.
 
@@ -108,6 +109,7 @@ def open_service(
             `find_source`.
         latch: The stop of the robot, which takes requests before the slow steps; None: a new one,
             which ends with the service.
+        clock: See `RunningService`.
 
     Yields:
         The service, ready for `edge.loop.runner.loop`.
@@ -166,9 +168,10 @@ def open_service(
         _tune_interpreter(stack)
         if not config.loop.lockstep:
             stack.enter_context(trim_memory_periodically())
-        running = LaunchedService(config, service, worker, source, servers, session, all_sinks)
-        running.latch = latch
-        yield running
+        yield LaunchedService(
+            config=config, service=service, worker=worker, source=source, servers=servers,
+            latch=latch, clock=clock, session=session, sinks=all_sinks,
+        )  # fmt: skip
 
 
 def _warn_without_controller(config: Config, is_played: bool) -> None:

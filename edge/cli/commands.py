@@ -154,6 +154,7 @@ def _serve(
             health.problems,
             None if playback is None else playback.open,
             latch,
+            None if playback is None else playback.clock,
         ) as running,
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
@@ -170,8 +171,6 @@ def _serve(
         log.info("ready: %s; Zenoh endpoint %s", doing, config.zenoh.address)
         health.ready()
         ended: RunResult | None = None
-        if playback is not None:
-            running.clock = playback.clock
 
         def is_over() -> bool:
             return running.service.status.done if playback is None else playback.is_over
