@@ -90,12 +90,8 @@ class Pursuit(Generic[DestinationType]):
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
-        retargets_before = self._mission.retargets
         self._begin(context)
-        self._goals.check_progress(
-            self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
-        )
-        if self._mission.retargets != retargets_before or self._mission.done:
+        if not self._follow_goal(context, images):
             return
         if self._probable is not None:
             self._check_probable(self._probable, context)
@@ -103,6 +99,14 @@ class Pursuit(Generic[DestinationType]):
             self.finish(context.now_ns)
         elif self._goals.phase == "searching":
             self._mind_limits(context.now_ns)
+
+    def _follow_goal(self, context: PolicyInput, images: int) -> bool:
+        """Handle the progress of the goal; return True if the target is still active."""
+        mission, retargets_before = self._mission, self._mission.retargets
+        self._goals.check_progress(
+            self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
+        )
+        return mission.retargets == retargets_before and not mission.done
 
     def _begin(self, context: PolicyInput) -> None:
         """Note the time of the first observation: an object must be seen after it."""

@@ -331,7 +331,8 @@ class ExploreRoomPursuit(RoomPursuit):
         else:
             left = "" if self._limit_s is None else f", {time_left(left_s)}"
             self._mission.activity = f"{self._activity} {self._phrase}{left}"
-            self._explore_inside(context, images)
+            if self._follow_goal(context, images) and self._chooser.search.exhausted:
+                self.end(context.now_ns)  # no candidate in the room is left
 
     def arrive(self, evidence: str, now_ns: int) -> None:
         self._inside = self._map.rooms.room(self._visit.chosen_id)
@@ -357,19 +358,6 @@ class ExploreRoomPursuit(RoomPursuit):
             name = self._phrase.removeprefix("the ")
             known = f"{name}: {self._inside.area_m2:.0f} m² are known, {found}"
         self._mission.on_reached(known, now_ns, known)
-
-    def _explore_inside(self, context: PolicyInput, images: int) -> None:
-        """Follow the goal; end the target when no candidate in the room is left."""
-        mission, retargets_before = self._mission, self._mission.retargets
-        self._goals.check_progress(
-            self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
-        )
-        if (
-            mission.retargets == retargets_before
-            and not mission.done
-            and self._chooser.search.exhausted
-        ):
-            self.end(context.now_ns)
 
     def _in_room(self, instances: Sequence[Instance]) -> list[Instance]:
         """Return those of the objects that are in the room; none before the robot was inside.
