@@ -55,7 +55,6 @@ class Scorers:
         value_source: Scorer that writes the value maps, `similarity` or `choice`; may be set.
         paused: True while no questions are asked; may be set.
         swap: Swaps the model of the choice scorer; None if it cannot be swapped.
-        newest_swap: True if the last swap request was for `swap`, not the detector; may be set.
         shed: Scorers (`similarity`, `choice`) that get no questions under load; may be set.
     """
 
@@ -100,7 +99,6 @@ class Scorers:
                 view_of=lambda question: question.view,
             )  # fmt: skip
         self.paused = False
-        self.newest_swap = False
         self.swap: ChoiceSwap | None = None
         if make_other is not None and self._choice is not None:
             self.swap = ChoiceSwap(self._choice, make_other)
