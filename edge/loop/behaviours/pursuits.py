@@ -291,12 +291,12 @@ class CheckAnswer:
         confirmed = self._map.tracker.of(self.label, only_confirmed=True)
         return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
-    def answer_yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+    def answer_yes(self, found: Sequence[Instance], context: PolicyInput) -> None:
         """Answer that these objects are there."""
         pose = context.pose
-        at = min(seen, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
+        at = min(found, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
         x_m, y_m, _ = at.center_m.tolist()
-        others = f"; {len(seen)} in all" if len(seen) > 1 else ""
+        others = f"; {len(found)} in all" if len(found) > 1 else ""
         where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
         room = self._map.rooms.room_phrase(x_m, y_m) or self._room
         answer = " ".join(filter(None, ("yes, there is a", self.label, room, where)))
@@ -343,8 +343,8 @@ class CheckPursuit(Pursuit[CheckTarget]):
     def check_progress(self, context: PolicyInput, images: int) -> None:
         answer = self._answer
         self._mission.activity = f"checking for the {answer.label}"
-        if seen := answer.new_detections(context):
-            answer.answer_yes(seen, context)
+        if found := answer.new_detections(context):
+            answer.answer_yes(found, context)
         elif not answer.time_is_over(context.now_ns):
             super().check_progress(context, images)
 

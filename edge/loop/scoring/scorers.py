@@ -148,19 +148,23 @@ class Scorers:
                 if self._by_prior and prior is not None:
                     ratio = np.ones(len(marks), np.float32)
                     prior.likelihood_ratio(asked_target, xy_m.astype(np.float32), len(marks), ratio)
-                seen = objects_in_view(tracker, other_objects, observation)
+                objects = objects_in_view(tracker, other_objects, observation)
                 costs = mark_costs(c, frontiers, marks)
-                view = MarkedView(observation, asked_target, marks, seen, ratio, costs)
+                view = MarkedView(observation, asked_target, marks, objects, ratio, costs)
                 choice.submit(ChoiceQuestion(view, xy_m, profile))
 
     def on_detections(self, detections: Detections, values: ValueMap) -> None:
         """Use the running detector's scores as similarity, if so configured."""
         if self._from_detections is not None:
-            seen = detections.observation
+            observation = detections.observation
             self._detector = detections.model
             score = self._score_of(detections)
-            answer = ImageSimilarity(seen.stamp_ns, seen.pose, detections.prompts, score)
-            profile = values.range_profile(seen) if self.value_source == "similarity" else None
+            answer = ImageSimilarity(
+                observation.stamp_ns, observation.pose, detections.prompts, score
+            )
+            profile = (
+                values.range_profile(observation) if self.value_source == "similarity" else None
+            )
             self._set_similarity(answer, profile, values)
 
     def collect_answers(self, values: ValueMap, idle: bool = False) -> None:
