@@ -287,9 +287,9 @@ class FollowBehaviour:
         retry, log = self._retry, partial(_log, self._mission)
         retry.ambiguous = result.ambiguous
         to_verify = self.target_objects()
-        for n, answer in enumerate(result.rounds, start=1):
-            if answer.error and request.before is None:
-                log(f"answer {n} of the model: {answer.error}", now_ns)
+        for n, attempt in enumerate(result.rounds, start=1):
+            if attempt.error and request.before is None:
+                log(f"answer {n} of the model: {attempt.error}", now_ns)
         if result.refined is not None:
             refined = result.refined
             if request.nearer_to is not None:  # other facts stay those of the task's trajectory

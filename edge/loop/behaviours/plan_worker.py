@@ -67,7 +67,8 @@ class PlanResult:
             trajectory.
         grounds: Labels of the regions that were chosen for the trajectory.
         n_done: Number of steps of the task that are done at the end of the trajectory.
-        understood: See `edge.tasks.facts.TaskStatus`, like `prompt` and `rounds`.
+        understood: See `edge.tasks.facts.TaskStatus`, like `prompt`.
+        rounds: Attempts of the model; recordings have this name.
     """
 
     refined: RefinedTrajectory | None = None

@@ -177,7 +177,7 @@ class GoalTracker:
         tracked = self.chooser.tracked
         self._standstill.on_blocked(grid, pose, self.client.take_blocked(), now_ns)
         if tracked is not None and tracked.sent and tracked.status is None:
-            tracked.status = self.client.arrived(tracked.goal, pose, now_ns)
+            tracked.status = self.client.infer_arrival(tracked.goal, pose, now_ns)
         instance = None
         if tracked is not None and tracked.goal.kind == "instance":
             instance = self._tracker.get(tracked.goal.candidate_id)
