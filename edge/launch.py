@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +21,7 @@ from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
 from edge.bus.ros2.requests import serve_ros2_requests, serve_ros2_stop
 from edge.bus.session import ENVELOPE_BYTES, zenoh_session
-from edge.bus.stop import StopServer, stop_requests
+from edge.bus.stop import StopRequests, StopServer, stop_requests
 from edge.config import Config
 from edge.config.environment import KNOWN_VARIABLES, is_ours
 from edge.errors import UserError
@@ -38,7 +38,7 @@ from edge.loop.requests.agent_requests import agent_handlers
 from edge.loop.requests.handlers import prepare_new, request_handlers
 from edge.loop.result import Sink
 from edge.loop.runner import RunningService
-from edge.loop.scoring.scorers import make_scorers
+from edge.loop.scoring.scorers import Scorers, make_scorers
 from edge.loop.service import Service
 from edge.loop.source import Source
 from edge.loop.warmup import warm_up
@@ -47,7 +47,7 @@ from edge.mission.spec import MissionSpec
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.sim import TruthAt
 from edge.perception.factory import make_detector
-from edge.perception.masks.ground import make_ground_classifier
+from edge.perception.masks.ground import GroundClassifier, make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import ModelHealth, log_progress
@@ -64,7 +64,7 @@ _CHILD_STOP_S = 5.0  # time for a child process to end after SIGTERM, before it 
 _CHILD_CHECK_S = 0.2  # period of the checks if a child process has ended
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LaunchedService(RunningService):
     """A running service with its Zenoh session and its sinks."""
 
@@ -84,6 +84,7 @@ def open_service(
     problems: Callable[[], Sequence[str]] = tuple,
     make_source: Callable[..., Source] | None = None,
     latch: StopLatch | None = None,
+    clock: Callable[[], int] | None = None,
 ) -> Iterator[LaunchedService]:
     """Prepare the mission, open Zenoh, load the detector and compile kernels; close all at exit.
 
@@ -108,6 +109,7 @@ def open_service(
             `find_source`.
         latch: The stop of the robot, which takes requests before the slow steps; None: a new one,
             which ends with the service.
+        clock: See `RunningService`.
 
     Yields:
         The service, ready for `edge.loop.runner.loop`.
@@ -125,43 +127,22 @@ def open_service(
     is_played, make_source = make_source is not None, make_source or find_source(config)
     make_sinks = find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
-    # A kind with a colon is a plugin, `module:Class`, which may send goals, too.
-    sends_goals = any(s.kind in ("zenoh", "ros2") or ":" in s.kind for s in config.sinks)
-    if not (sends_goals or is_played):
-        log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add such "
-                    "a sink to drive a robot", config.locate("sinks"))  # fmt: skip
+    _warn_without_controller(config, is_played)
     with ExitStack() as stack:
-        mission, checkpoint, spec = config.mission, None, None
+        mission = config.mission
         site = SiteFile(None if mission.site is None else resources.expand(mission.site))
         stack.callback(site.close)
-        if mission.checkpoint is not None:
-            given = next((text for text in (task, formula, instruction) if text is not None), None)
-            checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), given)
-            stack.callback(checkpoint.close)
-            spec = checkpoint.saved_spec()
+        given = next((text for text in (task, formula, instruction) if text is not None), None)
+        checkpoint = _open_checkpoint(stack, config, given)
+        spec = None if checkpoint is None else checkpoint.saved_spec()
         # Start without a mission: none was given, and none continues from the checkpoint.
-        idle = mission.on_request and spec is None and {instruction, formula, task} == {None}
+        idle = mission.on_request and spec is None and given is None
         if spec is None:
             progress("understanding the mission")
             spec = prepare_mission(config, task, site.known, formula=formula)
         raise_if_stopped(stop)
-        session = stack.enter_context(
-            zenoh_session(
-                config.zenoh,
-                "listen",
-                stop,
-                keep_zenoh_timeout=config.loop.lockstep,
-                most_bytes=int(config.source.max_message_mb * 1e6) + ENVELOPE_BYTES,
-                report=progress,
-            )
-        )
-        presence = Presence(session, config.zenoh)
-        stack.callback(presence.close)
-        stops = stop_requests(latch)
-        stack.callback(StopServer(session, config.zenoh, stops).close)
-        stack.enter_context(run_periodically("stop", RETRY_S, latch.keep))
-        if "ros2" in (config.source.kind, *(sink.kind for sink in config.sinks)):
-            stack.enter_context(serve_ros2_stop(config, session, latch.stop))
+        session, presence = _open_bus(stack, config, stop, progress)
+        stop_queues = _serve_stop(stack, config, session, latch)
         policy = run_unless_stopped(make_policy, stop)
         view = AgentView()
         # Sinks are made before the slow steps: a port may be in use, and a plugin may fail.
@@ -172,68 +153,149 @@ def open_service(
             stack.callback(sink.close)
         source = make_source(config=config, session=session)
         stack.callback(source.close)
-        lockstep = config.loop.lockstep  # the loop waits for each result, so that a run replays
-        masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
-        ground = run_unless_stopped(partial(make_ground_classifier, config.tasks), stop)
-        progress("loading the detector")
-        detector = _load_detector(
-            config, spec.prompts, make_ground_truth(config, session), stop, progress
-        )
-        worker = DetectorWorker(detector, lockstep, masker)
-        stack.callback(worker.close)
-        progress("loading the scorers")
-        scorers = run_unless_stopped(partial(make_scorers, config, spec.prompts), stop)
-        if scorers is not None:
-            stack.callback(scorers.close)
+        worker, scorers, ground = _load_models(stack, config, spec.prompts, session, stop, progress)
         run_unless_stopped(partial(warm_up, config, progress), stop)
         raise_if_stopped(stop)
-        servers: dict[str, RequestServer] = {}
-
-        def overruns() -> dict[str, int]:
-            """Return the number of reads that found a ring full (see `edge.bus.session.Ring`)."""
-            return {
-                "sensors": source.counters.get("overrun", 0),
-                "goal_status": source.inbox.overruns,
-                **{key: server.overruns for key, server in servers.items()},
-            }
-
         service = Service(
             config, spec, worker, policy, all_sinks, checkpoint, scorers, calibration.load(), idle,
             site=site, ground=ground,
         )  # fmt: skip
-        service.parts_status.overruns = overruns
-        service.parts_status.inputs = getattr(source, "input_table", tuple)
         stack.callback(service.close)
-
-        def prepare(**request: Any) -> MissionSpec:
-            return prepare_mission(config, site=site.known, **request)
-
-        handlers = request_handlers(service, prepare, problems)
-        if config.mcp is not None:
-            handlers |= agent_handlers(
-                service, config.mcp, partial(prepare_new, prepare), view.picture
-            )
-        for key, (verbs, handle) in handlers.items():
-            servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
-            stack.callback(servers[key].close)
-        if config.ros2.requests:
-            queues = {**{key: server.queue for key, server in servers.items()}, **stops}
-            stack.enter_context(serve_ros2_requests(config, session, queues))
+        servers = _serve_requests(stack, service, session, view, problems, stop_queues)
+        service.parts_status.overruns = partial(_overruns, source, servers)
+        service.parts_status.inputs = getattr(source, "input_table", tuple)
         presence.announce()
-        # Objects of the start-up are never freed, so the collector need not scan them in the loop.
-        gc.collect()
-        gc.freeze()
-        stack.callback(gc.unfreeze)
-        # Kernels release the interpreter lock. With the default switch interval, the loop would
-        # wait up to 5 ms for the detector's or a sink's thread to return it: more than the budget
-        # of a tick.
-        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
-        sys.setswitchinterval(_SWITCH_S)
-        if not lockstep:
+        _tune_interpreter(stack)
+        if not config.loop.lockstep:
             stack.enter_context(trim_memory_periodically())
-        running = LaunchedService(config, service, worker, source, servers, session, all_sinks)
-        running.latch = latch
-        yield running
+        yield LaunchedService(
+            config=config, service=service, worker=worker, source=source, servers=servers,
+            latch=latch, clock=clock, session=session, sinks=all_sinks,
+        )  # fmt: skip
+
+
+def _warn_without_controller(config: Config, is_played: bool) -> None:
+    """Warn if no motion controller receives goals; a recording needs none."""
+    # A kind with a colon is a plugin, `module:Class`, which may send goals, too.
+    sends_goals = any(s.kind in ("zenoh", "ros2") or ":" in s.kind for s in config.sinks)
+    if not (sends_goals or is_played):
+        log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add such "
+                    "a sink to drive a robot", config.locate("sinks"))  # fmt: skip
+
+
+def _open_checkpoint(
+    stack: ExitStack, config: Config, given: str | None
+) -> ServiceCheckpoint | None:
+    """Open the configured checkpoint, if any; `given` is the mission of the command line."""
+    path = config.mission.checkpoint
+    if path is None:
+        return None
+    checkpoint = ServiceCheckpoint(config, resources.expand(path), given)
+    stack.callback(checkpoint.close)
+    return checkpoint
+
+
+def _open_bus(
+    stack: ExitStack, config: Config, stop: threading.Event, progress: Callable[[str], None]
+) -> tuple[zenoh.Session, Presence]:
+    """Open the Zenoh session, and claim the prefix for this service."""
+    session = stack.enter_context(
+        zenoh_session(
+            config.zenoh,
+            "listen",
+            stop,
+            keep_zenoh_timeout=config.loop.lockstep,
+            most_bytes=int(config.source.max_message_mb * 1e6) + ENVELOPE_BYTES,
+            report=progress,
+        )
+    )
+    presence = Presence(session, config.zenoh)
+    stack.callback(presence.close)
+    return session, presence
+
+
+def _serve_stop(
+    stack: ExitStack, config: Config, session: zenoh.Session, latch: StopLatch
+) -> dict[str, StopRequests]:
+    """Serve requests to stop the robot, which must not wait for the slow steps."""
+    queues = stop_requests(latch)
+    stack.callback(StopServer(session, config.zenoh, queues).close)
+    stack.enter_context(run_periodically("stop", RETRY_S, latch.keep))
+    if "ros2" in (config.source.kind, *(sink.kind for sink in config.sinks)):
+        stack.enter_context(serve_ros2_stop(config, session, latch.stop))
+    return queues
+
+
+def _load_models(
+    stack: ExitStack,
+    config: Config,
+    targets: Sequence[str],
+    session: zenoh.Session,
+    stop: threading.Event,
+    progress: Callable[[str], None],
+) -> tuple[DetectorWorker, Scorers | None, GroundClassifier | None]:
+    """Load the segmenter, the ground classifier, the detector and the scorers."""
+    lockstep = config.loop.lockstep  # the loop waits for each result, so that a run replays
+    masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
+    ground = run_unless_stopped(partial(make_ground_classifier, config.tasks), stop)
+    progress("loading the detector")
+    truth = make_ground_truth(config, session)
+    detector = _load_detector(config, targets, truth, stop, progress)
+    worker = DetectorWorker(detector, lockstep, masker)
+    stack.callback(worker.close)
+    progress("loading the scorers")
+    scorers = run_unless_stopped(partial(make_scorers, config, targets), stop)
+    if scorers is not None:
+        stack.callback(scorers.close)
+    return worker, scorers, ground
+
+
+def _serve_requests(
+    stack: ExitStack,
+    service: Service,
+    session: zenoh.Session,
+    view: AgentView,
+    problems: Callable[[], Sequence[str]],
+    stop_queues: Mapping[str, StopRequests],
+) -> dict[str, RequestServer]:
+    """Start the servers of all requests but stops, and return them by key."""
+    config = service.config
+    servers: dict[str, RequestServer] = {}
+
+    def prepare(**request: Any) -> MissionSpec:
+        return prepare_mission(config, site=service.site.known, **request)
+
+    handlers = request_handlers(service, prepare, problems)
+    if config.mcp is not None:
+        handlers |= agent_handlers(service, config.mcp, partial(prepare_new, prepare), view.picture)
+    for key, (verbs, handle) in handlers.items():
+        servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
+        stack.callback(servers[key].close)
+    if config.ros2.requests:
+        queues = {**{key: server.queue for key, server in servers.items()}, **stop_queues}
+        stack.enter_context(serve_ros2_requests(config, session, queues))
+    return servers
+
+
+def _overruns(source: Source, servers: Mapping[str, RequestServer]) -> dict[str, int]:
+    """Return the number of reads that found a ring full (see `edge.bus.session.Ring`)."""
+    return {
+        "sensors": source.counters.get("overrun", 0),
+        "goal_status": source.inbox.overruns,
+        **{key: server.overruns for key, server in servers.items()},
+    }
+
+
+def _tune_interpreter(stack: ExitStack) -> None:
+    """Set garbage collector and interpreter lock for the loop, until the stack is closed."""
+    # Objects of the start-up are never freed, so the collector need not scan them in the loop.
+    gc.collect()
+    gc.freeze()
+    stack.callback(gc.unfreeze)
+    # Kernels release the interpreter lock. With the default switch interval, the loop would wait
+    # up to 5 ms for the detector's or a sink's thread to return it: more than the budget of a tick.
+    stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+    sys.setswitchinterval(_SWITCH_S)
 
 
 def _load_detector(

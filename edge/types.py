@@ -240,10 +240,14 @@ class Instance:
         return float(np.sqrt((d * d).sum(axis=1).min()))
 
 
-# "spin": no candidate is left; the robot turns on the spot, goes to a viewpoint for a better look,
-# or stands still. "trajectory": a task's goal, which moves ahead of the robot on its trajectory, or
-# turns it on the spot. "place": a named place that the mission goes to. "zone_exit": a
-# place outside the zone that the robot is in.
+# "spin": one of four goals, because recordings and metrics know no other kind:
+#   - a spin candidate, which has a `candidate_id`; the others have 0;
+#   - a turn on the spot, after the last candidate;
+#   - a viewpoint for a better look (`TrackedGoal.view`);
+#   - a hold goal: the robot stands still (`GoalTracker.hold_position`).
+# "trajectory": a task's goal, which moves ahead of the robot on its trajectory, or turns it on the
+# spot. "place": a named place that the mission goes to. "zone_exit": a place outside the zone that
+# the robot is in.
 CandidateKind = Literal["frontier", "instance", "spin", "trajectory", "place", "zone_exit"]
 
 

@@ -21,7 +21,9 @@ def test_metrics_scrape(benchmark):
     worker = closed.service.perception.worker
     source = SimpleNamespace(counters={})
     metrics = Metrics(ServiceHealth(SystemdNotifier({})))
-    running = RunningService(closed.config, closed.service, worker, source, {})
+    running = RunningService(
+        config=closed.config, service=closed.service, worker=worker, source=source, servers={}
+    )
     metrics.add_service(running, closed.sinks)
     page = benchmark(metrics.pages()["/metrics"])
     assert b"edge_map_known_square_meters" in page.body

@@ -7,7 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,7 @@ from edge.loop.latency import LatencyReport
 from edge.loop.monitoring.metrics import Metrics
 from edge.loop.monitoring.service_health import PROBES, ServiceHealth
 from edge.loop.reload import Reloader
-from edge.loop.runner import loop
+from edge.loop.runner import RunningService, loop
 from edge.recording.trace import TracePage
 from edge.sources.played import Playback
 from edge.text import one_line
@@ -82,6 +82,30 @@ class ReloadRequest:
     requested: threading.Event
 
 
+@dataclass(frozen=True)
+class _Options:
+    """Options of a run.
+
+    Attributes:
+        mission: Mission of the command line.
+        once: The run ends with the mission.
+        stay: The live view stays open after the end of the mission or recording, until the run is
+            stopped. The results are those at that end.
+        recorded: Collect the data of a report.
+        reload: A way to reload the configuration; None: it is never reloaded.
+        playback: Recording that replaces the configured source.
+        latch: The stop of the robot; by default it ends with the run.
+    """
+
+    mission: MissionArguments = NO_MISSION
+    once: bool = False
+    stay: bool = False
+    recorded: bool = False
+    reload: ReloadRequest | None = None
+    playback: Playback | None = None
+    latch: StopLatch = field(default_factory=StopLatch)
+
+
 def run_service(
     config: Config,
     stop: threading.Event,
@@ -102,10 +126,9 @@ def run_service(
         Stopped: `stop` was set before the service was ready.
     """
     _prepare(config, report)
-    recorded = report is not None
     latch = StopLatch(stop_file(config.zenoh.prefix))
-    ended = _serve(config, stop, once, what, reload, recorded=recorded, latch=latch)
-    code = _conclude(ended, report)
+    options = _Options(what, once, recorded=report is not None, reload=reload, latch=latch)
+    code = _conclude(_serve(config, stop, options), report)
     return code if once else os.EX_OK
 
 
@@ -119,45 +142,31 @@ def _prepare(config: Config, report: str | None) -> None:
         prepare(report)
 
 
-def _serve(
-    config: Config,
-    stop: threading.Event,
-    once: bool,
-    what: MissionArguments,
-    reload: ReloadRequest | None = None,
-    stay: bool = False,
-    playback: Playback | None = None,
-    recorded: bool = False,
-    latch: StopLatch | None = None,
-) -> RunResult:
-    """Run the service until `stop` is set, or as the arguments say; return the results of the run.
-
-    The arguments of `run_service` are the same here. With `stay`, the live view stays open after
-    the end of the mission or recording, until `stop` is set; the results are those at that end. A
-    `playback` replaces the configured source. `recorded` collects the data of a report. Without
-    `latch`, a stop of the robot ends with the run.
-    """
-    latch = latch or StopLatch()
-    recorder, health = _recorder(config) if recorded else None, ServiceHealth(SystemdNotifier())
+def _serve(config: Config, stop: threading.Event, options: _Options) -> RunResult:
+    """Run the service until `stop` is set, or as the options say; return the results of the run."""
+    recorder = _recorder(config) if options.recorded else None
+    health = ServiceHealth(SystemdNotifier())
     live, metrics, trace_page = LiveView(config, health), Metrics(health), TracePage()
     sinks = [ConsoleSink(), *([] if recorder is None else [recorder]), live.sink]
-    live.open(stop_requests(latch))  # a robot can be stopped before the service is ready
+    live.open(stop_requests(options.latch))  # a robot can be stopped before the service is ready
     pages = {**health.pages(), **metrics.pages(), **trace_page.pages(), **live.pages()}
+    playback = options.playback
     with (
         _serve_pages(pages, live.forms(), config.http) as url,
         open_service(
             config,
             sinks,
-            *what,
+            *options.mission,
             stop,
             health.starting,
             health.problems,
             None if playback is None else playback.open,
-            latch,
+            options.latch,
+            None if playback is None else playback.clock,
         ) as running,
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
-        if reload is not None:
+        if (reload := options.reload) is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.requested)
         metrics.add_service(running, running.sinks)
         trace_page.spans = running.service.latency.spans
@@ -169,39 +178,62 @@ def _serve(
         )
         log.info("ready: %s; Zenoh endpoint %s", doing, config.zenoh.address)
         health.ready()
-        ended: RunResult | None = None
-        if playback is not None:
-            running.clock = playback.clock
-
-        def is_over() -> bool:
-            return running.service.status.done if playback is None else playback.is_over
-
-        def make_result() -> RunResult:
-            result = running.service.result()
-            return RunResult(
-                result.status,
-                result.latency(),
-                result.snapshot().known_m2,
-                tuple(result.instances()),
-                None if recorder is None else recorder.record(result, running.source.counters),
-            )
-
-        def after_cycle() -> None:
-            nonlocal ended
-            health.beat(running)
-            if not is_over():
-                ended = None  # also if a new mission has begun
-            elif stay and ended is None:
-                ended = make_result()
-                phase = running.service.status.phase
-                outcome = f"mission {phase}" if playback is None else "recording played"
-                log.info("%s; the live view stays open until Ctrl-C: %s", outcome, url)
-            elif playback is not None and not stay:
-                stop.set()
-
-        loop(running, stop, once and not stay, after_cycle)
+        run = _Run(running, options, stop, health, recorder, url)
+        loop(running, stop, options.once and not options.stay, run.after_cycle)
         health.stopping()
-        return ended or make_result()
+        return run.ended or run.result()
+
+
+class _Run:
+    """A run of the loop.
+
+    Attributes:
+        ended: Results at the end of the mission or recording, if the live view stays open after it.
+    """
+
+    def __init__(
+        self,
+        running: RunningService,
+        options: _Options,
+        stop: threading.Event,
+        health: ServiceHealth,
+        recorder: ReportRecorder | None,
+        url: str | None,
+    ) -> None:
+        self._running, self._options, self._stop = running, options, stop
+        self._health, self._recorder, self._url = health, recorder, url
+        self.ended: RunResult | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """True if the recording was played; without a recording, if the mission has ended."""
+        playback = self._options.playback
+        return self._running.service.status.done if playback is None else playback.is_over
+
+    def result(self) -> RunResult:
+        """Return the results up to now."""
+        result, recorder = self._running.service.result(), self._recorder
+        return RunResult(
+            result.status,
+            result.latency(),
+            result.snapshot().known_m2,
+            tuple(result.instances()),
+            None if recorder is None else recorder.record(result, self._running.source.counters),
+        )
+
+    def after_cycle(self) -> None:
+        """Report that the loop runs. At the end, keep the results, or stop a recording's run."""
+        self._health.beat(self._running)
+        playback, stay = self._options.playback, self._options.stay
+        if not self.is_over:
+            self.ended = None  # also if a new mission has begun
+        elif stay and self.ended is None:
+            self.ended = self.result()
+            phase = self._running.service.status.phase
+            outcome = f"mission {phase}" if playback is None else "recording played"
+            log.info("%s; the live view stays open until Ctrl-C: %s", outcome, self._url)
+        elif playback is not None and not stay:
+            self._stop.set()
 
 
 @contextmanager
@@ -266,8 +298,8 @@ def run_demo(
     try:
         started = child_processes(config, stop, ("sim", "--no-motion"), ("sim", "--motion-only"))
         with started, suppress(Stopped):  # if a child ended, `started` raises the reason
-            stay = live is not None
-            ended = _serve(config, stop, True, what, stay=stay, recorded=True)
+            options = _Options(what, once=True, stay=live is not None, recorded=True)
+            ended = _serve(config, stop, options)
     finally:  # write the report even if a child process failed
         code = 0 if ended is None else _conclude(ended, report)
     return code
@@ -299,9 +331,9 @@ def run_play(
         for line in playback.describe_contents():
             print(line, flush=True)
         playback.check()
-        stay = live is not None
-        recorded = report is not None
-        ended = _serve(config, stop, False, what, stay=stay, playback=playback, recorded=recorded)
+        stay, recorded = live is not None, report is not None
+        options = _Options(what, stay=stay, recorded=recorded, playback=playback)
+        ended = _serve(config, stop, options)
         lines = [*playback.describe_outcome(), *_map_lines(ended)]
     _conclude(ended, report)
     print("\n".join(lines))

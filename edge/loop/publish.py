@@ -48,13 +48,19 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
     return by_name
 
 
+class Outbox:
+    """Goals, goal statuses and events since the last result; all bounded."""
+
+    def __init__(self) -> None:
+        self.goals: deque[Goal] = deque(maxlen=_MAX_EVENTS)
+        self.goal_statuses: deque[GoalStatus] = deque(maxlen=_MAX_EVENTS)
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+
+
 class ResultPublisher:
     """Builds the result of a tick and passes it to the sinks; for the loop's thread.
 
     Attributes:
-        goals: Goals since the last result; bounded.
-        goal_statuses: Goal statuses since the last result; bounded.
-        events: Events since the last result; bounded.
         proposals: Returns the proposals of agents that wait for a person, at a loop time; set by
             `edge.loop.requests.agent_requests`.
     """
@@ -62,6 +68,7 @@ class ResultPublisher:
     def __init__(
         self,
         sinks: Sequence[Sink],
+        outbox: Outbox,
         semantic_map: SemanticMap,
         site: SiteFile,
         goals: GoalTracker,
@@ -70,11 +77,9 @@ class ResultPublisher:
         latency: LatencyRing,
         parts: Callable[[], dict[str, Any]],
     ) -> None:
-        self.goals: deque[Goal] = deque(maxlen=_MAX_EVENTS)
-        self.goal_statuses: deque[GoalStatus] = deque(maxlen=_MAX_EVENTS)
-        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
-        self._sinks, self._map, self._site = sinks, semantic_map, site
+        self._sinks, self._outbox = sinks, outbox
+        self._map, self._site = semantic_map, site
         self._goal_tracker, self._scorers = goals, scorers
         self._input_log, self._latency, self._parts = input_log, latency, parts
 
@@ -102,7 +107,7 @@ class ResultPublisher:
             scores: The policy's scores of the candidates.
         """
         semantic_map, grid, goals = self._map, self._map.grid, self._goal_tracker
-        spec, goal, scorers = mission.spec, goals.goal, self._scorers
+        spec, goal, scorers, outbox = mission.spec, goals.goal, self._scorers, self._outbox
         return TickResult(
             now_ns=now_ns,
             observation=observation,
@@ -114,9 +119,9 @@ class ResultPublisher:
             stopped=mission.stopped,
             proposals=partial(self.proposals, now_ns),
             targets=spec.labels,
-            goals=tuple(self.goals),
-            goal_statuses=tuple(self.goal_statuses),
-            events=tuple(self.events),
+            goals=tuple(outbox.goals),
+            goal_statuses=tuple(outbox.goal_statuses),
+            events=tuple(outbox.events),
             inputs=tuple(self._input_log.pending),
             detections=detections,
             mission=cache(partial(mission_facts, mission)),
@@ -150,7 +155,8 @@ class ResultPublisher:
 
         Such an error is an event of the next result.
         """
-        for recent in (self.goals, self.goal_statuses, self.events, self._input_log.pending):
+        outbox = self._outbox
+        for recent in (outbox.goals, outbox.goal_statuses, outbox.events, self._input_log.pending):
             recent.clear()
         for sink in self._sinks:
             with boundary.contain(f"{type(sink).__name__}.tick", result.now_ns):

@@ -38,17 +38,19 @@ class Server(Protocol):
         """Handle the waiting requests at this loop time. Never block."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class RunningService:
     """A service with its source and its request servers.
 
     Attributes:
         source: Source of observations and goal statuses.
-        now_ns: Loop time of the newest cycle; 0 before the first.
-        epoch: Newest `Source.epoch` that the service has handled; a higher one means a pose jump.
-        reloader: Reloads the configuration on request; None if reloads are not possible.
+        latch: The stop of the robot.
         clock: Returns the loop time outside lockstep, in ns, for example of a recording that is
             played. None: wall-clock time.
+        reloader: Reloads the configuration on request; may be set. None if reloads are not
+            possible.
+        now_ns: Loop time of the newest cycle; 0 before the first.
+        epoch: Newest `Source.epoch` that the service has handled; a higher one means a pose jump.
     """
 
     config: Config
@@ -56,11 +58,11 @@ class RunningService:
     worker: DetectorWorker
     source: Source
     servers: Mapping[str, Server]
+    latch: StopLatch = field(default_factory=StopLatch)
+    clock: Callable[[], int] | None = None
+    reloader: Reloader | None = field(default=None, init=False)
     now_ns: int = field(default=0, init=False)
     epoch: int = field(default=0, init=False)
-    reloader: Reloader | None = field(default=None, init=False)
-    latch: StopLatch = field(default_factory=StopLatch, init=False)
-    clock: Callable[[], int] | None = field(default=None, init=False)
 
 
 def loop(

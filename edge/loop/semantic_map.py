@@ -87,29 +87,29 @@ class SemanticMap:
 
     def update(self, observation: Observation, now_ns: int) -> MapUpdate | None:
         """Integrate the depth image or cloud; return None if the observation has none."""
-        grid, seen, update = self.grid, observation, None
+        grid, update, T = self.grid, None, observation.T_map_base
         grid.bumps.expire(now_ns)
         if self.config.mapping.input == "cloud":
-            if seen.cloud_m is not None:
-                update = grid.update_cloud(seen.cloud_m, seen.T_map_base, seen.T_base_lidar)
-        elif seen.depth_m is not None and seen.camera is not None:
+            if observation.cloud_m is not None:
+                update = grid.update_cloud(observation.cloud_m, T, observation.T_base_lidar)
+        elif observation.depth_m is not None and observation.camera is not None:
             update = grid.update_depth(
-                seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera
+                observation.depth_m, observation.camera, T, observation.T_base_camera
             )
-        grid.travel_cost.step(seen.pose)
+        grid.travel_cost.step(observation.pose)
         return update
 
     def on_detections(self, detections: Detections) -> None:
         """Turn boxes into objects and instances, with the depth and pose of their image."""
-        perception, seen = self.config.perception, detections.observation
+        c, observation = self.config.perception, detections.observation
         targets, others = self._back_projector.back_project(detections, self.grid.floor_over_base_m)
         self.objects.update(targets, others)
         self.crops.rename(self.objects.moved.renamed)
-        if seen.rgb is not None:
-            self.crops.observe(self.objects.observed, seen.rgb)
-        self._fusion.update(targets, seen.stamp_ns)
-        self._fusion.expire(seen, detections.prompts)
-        self.grid.coverage.on_image(seen, perception.confirm_range_m, perception.confirm_hits)
+        if observation.rgb is not None:
+            self.crops.observe(self.objects.observed, observation.rgb)
+        self._fusion.update(targets, observation.stamp_ns)
+        self._fusion.expire(observation, detections.prompts)
+        self.grid.coverage.on_image(observation, c.confirm_range_m, c.confirm_hits)
 
     def infer(self, pose: SE2, now_ns: int) -> None:
         """Update rooms and prior with the objects seen."""

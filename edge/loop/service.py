@@ -28,7 +28,7 @@ from edge.loop.latency import LatencyRing
 from edge.loop.load_shedder import LoadShedder
 from edge.loop.mission_control import MissionControl
 from edge.loop.perceive import PerceptionStages
-from edge.loop.publish import ResultPublisher
+from edge.loop.publish import Outbox, ResultPublisher
 from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scoring.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
@@ -95,7 +95,8 @@ class Service:
             `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
             be reproducible.
         parts_status: Collects the status of all parts.
-        publisher: Passes results and events to the sinks.
+        outbox: Holds goals, goal statuses and events until the next result.
+        publisher: Passes results to the sinks.
         error_boundary: Catches and counts the exceptions of stages, sinks and requests.
         perception: The stages from the detector to the scores; it has the policy and the scorers.
         stage: Index of the running stage, or of the stage whose error ended the tick.
@@ -118,18 +119,14 @@ class Service:
     ) -> None:
         self.config, self.ground = config, ground
         self._input_log = input_log = input_log or InputLog()
+        self.outbox = Outbox()
         self.checkpoint = checkpoint
         self.map = SemanticMap(config, spec.prompts)
         self.site = site or SiteFile()
         self.map.set_site(self.site.site)
         self.latency = LatencyRing(calibration=calibration)
-        self.goals = GoalTracker(
-            config,
-            self.map.pool,
-            self.map.tracker,
-            lambda goal: self.publisher.goals.append(goal),
-            self.event,
-        )
+        send = self.outbox.goals.append
+        self.goals = GoalTracker(config, self.map.pool, self.map.tracker, send, self.event)
         self.control = MissionControl(spec, config.mission, self.goals, input_log, self.event)
         self.stamp_ns = 0
         self._travel_costs = make_travel_cost_estimator(
@@ -160,8 +157,8 @@ class Service:
             worker, parts, scorers, self.error_boundary, self.event, sinks
         )
         self.publisher = ResultPublisher(
-            sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
-            self.parts_status.status,
+            sinks, self.outbox, self.map, self.site, self.goals, scorers, input_log,
+            self.latency, self.parts_status.status,
         )  # fmt: skip
         self.perception = PerceptionStages(
             config, self.map, worker, policy, scorers, self.latency, input_log
@@ -394,7 +391,7 @@ class Service:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
         self._input_log.note("goal_status", goal_status=status)
         status = self.goals.client.with_sent_stamp(status)
-        self.publisher.goal_statuses.append(status)
+        self.outbox.goal_statuses.append(status)
         self.goals.on_goal_status(status)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
@@ -463,7 +460,7 @@ class Service:
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
         """Report an event, for people, to the log and the sinks."""
         log.log(level, text)
-        self.publisher.events.append(Event(now_ns, text))
+        self.outbox.events.append(Event(now_ns, text))
 
     def close(self) -> None:
         """Stop all background work. No tick may follow."""

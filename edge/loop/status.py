@@ -23,8 +23,8 @@ from edge.types import Instance, MissionStatus
 
 MOST_POSES = 200
 """Number of poses of a trajectory to include."""
-MOST_ROUNDS = 4
-"""Number of a model's newest answers to include: they may be long, and the status is sent often."""
+MOST_ATTEMPTS = 4
+"""Number of a model's newest attempts to include: they may be long, and are sent each second."""
 _MAX_LINES = 20  # of each list of texts
 _MAX_CODE_CHARS, _MAX_TEXT_CHARS, _MAX_STEP_CHARS = 2000, 500, 100  # of one text
 
@@ -195,7 +195,7 @@ def task_json(task: TaskStatus | None, scale: int = 1) -> dict[str, Any] | None:
     """Return a task and its trajectory, JSON-ready and of bounded size; None if there is no task.
 
     `trajectory` has at most `scale * MOST_POSES` rows [x, y, heading], and `index` refers to them.
-    `rounds` holds the newest of the model's answers; their total number is `answers`. An answer
+    `rounds` holds the newest of the model's attempts; their total number is `answers`. An attempt
     without code has its text. `scale` is a factor on the limits of lists and texts.
     """
     if task is None:
@@ -218,12 +218,12 @@ def task_json(task: TaskStatus | None, scale: int = 1) -> dict[str, Any] | None:
         "understood": one_line(task.understood, max_text),
         "rounds": [
             {
-                "answer": "" if round.code else bounded_lines(round.answer, max_text),
-                "code": bounded_lines(round.code, scale * _MAX_CODE_CHARS),
-                "error": line(round.error),
-                "printed": bounded_lines(round.printed, max_text),
+                "answer": "" if attempt.code else bounded_lines(attempt.answer, max_text),
+                "code": bounded_lines(attempt.code, scale * _MAX_CODE_CHARS),
+                "error": line(attempt.error),
+                "printed": bounded_lines(attempt.printed, max_text),
             }
-            for round in task.rounds[-scale * MOST_ROUNDS :]
+            for attempt in task.rounds[-scale * MOST_ATTEMPTS :]
         ],
         "answers": len(task.rounds),
         "trajectory": np.round(poses, 3).tolist(),

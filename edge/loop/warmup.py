@@ -170,16 +170,16 @@ def room() -> Observation:
     )
 
 
-def _as_cloud(seen: Observation) -> Observation:
+def _as_cloud(observation: Observation) -> Observation:
     """Return an observation of random points in place of the depth image."""
     cloud_m = np.random.default_rng(0).uniform(0.5, _WALL_M, (64, 3)).astype(np.float32)
-    return replace(seen, depth_m=None, cloud_m=cloud_m)
+    return replace(observation, depth_m=None, cloud_m=cloud_m)
 
 
-def _box_in(seen: Observation) -> Detections:
+def _box_in(observation: Observation) -> Detections:
     """Return the detection of a box in the synthetic image."""
     box = np.array([[20, 6, 28, 20]], np.float32)
-    return Detections(seen, box, np.ones(1, np.float32), np.zeros(1, np.int32), ("box",))
+    return Detections(observation, box, np.ones(1, np.float32), np.zeros(1, np.int32), ("box",))
 
 
 def _map_of(depth_m: np.ndarray, mapping: MappingConfig, extent_m: float) -> RollingMap:
@@ -218,9 +218,9 @@ def warm_mapping(mapping: MappingConfig) -> None:
 
 def warm_values(mapping: MappingConfig) -> None:
     """Compile the kernels of value maps."""
-    seen, grid = room(), _map_of(_depth_m(), mapping, 1.0)
+    observation, grid = room(), _map_of(_depth_m(), mapping, 1.0)
     grid.values.set_targets(("x",))
-    for view in (replace(seen, depth_m=None), seen):
+    for view in (replace(observation, depth_m=None), observation):
         profile = grid.values.range_profile(view)
         assert profile is not None
         grid.values.write_view(profile, ("x",), np.ones(1, np.float32))
@@ -254,8 +254,8 @@ def warm_perception(sources: Sequence[str] = ("depth", "cloud")) -> None:
         np.zeros(1, np.int32), np.zeros(1, np.float32),
     )  # fmt: skip
 
-    seen = replace(room(), cloud_m=np.ones((4, 3), np.float32))
-    detections = _box_in(seen)
+    observation = replace(room(), cloud_m=np.ones((4, 3), np.float32))
+    detections = _box_in(observation)
     for source in sources:
         settings = {"back_projection": source, "detector": {"kind": "sim"}}
         perception = PerceptionConfig.model_validate(settings)
@@ -271,7 +271,7 @@ def warm_perception(sources: Sequence[str] = ("depth", "cloud")) -> None:
     fusion = InstanceFusion(InstanceTracker(perception))
     fusion.update(clear, 0)
     fusion.update(clear, 1)
-    fusion.expire(seen, detections.prompts)
+    fusion.expire(observation, detections.prompts)
     # Kernels that need more than one instance or image.
     points_m, support = np.zeros((1, 3), np.float32), np.ones(1, np.int32)
     instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)
@@ -331,13 +331,13 @@ def warm_tasks() -> None:
 
     This compiles every kernel that a service calls for a task, with any configuration.
     """
-    seen, objects = room(), ObjectMap()
-    for frame in (seen, _as_cloud(seen)):
+    observation, objects = room(), ObjectMap()
+    for frame in (observation, _as_cloud(observation)):
         add_detections(objects, _box_in(frame), 2.0 * _WALL_M)
     grid = _map_of(_depth_m(), MappingConfig(), 4.0 * _WALL_M)
     points_m = np.array([[_WALL_M, 0.0, 0.5]], np.float32)
     obj = Instance(1, "box", points_m[0], points_m, 1.0, 1, 0, 0)
-    scene = scene_of_map(MapView(grid), seen, (obj,), _CLEARANCE_M)
+    scene = scene_of_map(MapView(grid), observation, (obj,), _CLEARANCE_M)
     limits = TasksConfig(trajectory=TrajectoryLimits(clearance_m=_CLEARANCE_M))
     coarse = write_trajectory("go to the box", scene, limits).coarse
     margins, motion = PathMargins(_CLEARANCE_M), MotionLimits.of(RobotConfig())
@@ -363,10 +363,10 @@ def warm_policy(config: Config) -> None:
     pool.measure(grid)
     pool.add_spin(grid, _HERE, 1.0, 0)
     found = _box_in(replace(room(), depth_m=None))
-    seen, no_area = found.observation, (0, 0, 0, 0)
+    observation, no_area = found.observation, (0, 0, 0, 0)
     context = PolicyInput(
-        seen, seen.pose, MapView(grid), no_area, pool.read_only, found, ScorerOutputs(),
-        found.prompts, found.prompts[0], 0,
+        observation, observation.pose, MapView(grid), no_area, pool.read_only, found,
+        ScorerOutputs(), found.prompts, found.prompts[0], 0,
     )  # fmt: skip
     make_policy(config.policy).score(context)
 

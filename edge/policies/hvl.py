@@ -54,15 +54,15 @@ class HvlPolicy:
         self._n = carry_over(
             kind, candidates.id, n, self._id, self._n, self._vl, self._old_id, self._old_vl
         )
-        seen = context.detections
-        if seen is not None and seen.observation.camera is not None:
-            camera, pose = seen.observation.camera, seen.observation.pose
-            mu, alpha = self._evidence(seen, context.targets)
+        detections = context.detections
+        if detections is not None and detections.observation.camera is not None:
+            observation, camera = detections.observation, detections.observation.camera
+            pose = observation.pose
+            mu, alpha = self._evidence(detections, context.targets)
             vl_scores(
                 xy_m, candidates.first_seen_ns, self._n, pose.x_m, pose.y_m,
-                pose.yaw_rad + optical_yaw_rad(seen.observation.T_base_camera),
-                seen.observation.stamp_ns, camera.hfov_rad, mu, alpha, len(seen), SIGMA_RAD,
-                self._vl,
+                pose.yaw_rad + optical_yaw_rad(observation.T_base_camera), observation.stamp_ns,
+                camera.hfov_rad, mu, alpha, len(detections), SIGMA_RAD, self._vl,
             )  # fmt: skip
         context.map.unknown_ratio(xy_m, n, UNKNOWN_RADIUS_M, self._ratio)
         away_m = distances_m(context, c.distance)
@@ -73,7 +73,7 @@ class HvlPolicy:
         return self._score
 
     def _evidence(
-        self, seen: Detections, targets: tuple[str, ...]
+        self, detections: Detections, targets: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the bearing of each box and its evidence for each target.
 
@@ -82,10 +82,10 @@ class HvlPolicy:
         Returns:
             mu (k,) float64, bearings in radians; alpha (k, targets) float64, evidence.
         """
-        alpha = np.zeros((len(seen), len(targets)))
-        alpha[np.arange(len(seen)), seen.class_id] = seen.score
-        centre_u_px = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
-        others, weight = seen.context, self.config.w_context
+        alpha = np.zeros((len(detections), len(targets)))
+        alpha[np.arange(len(detections)), detections.class_id] = detections.score
+        centre_u_px = 0.5 * (detections.xyxy_px[:, 0] + detections.xyxy_px[:, 2])
+        others, weight = detections.context, self.config.w_context
         if others is not None and len(others) and weight > 0.0:
             if self._related_words != (others.words, targets):
                 self._related_words = (others.words, targets)
@@ -94,7 +94,7 @@ class HvlPolicy:
             alpha = np.concatenate((alpha, others_alpha))
             others_u_px = 0.5 * (others.xyxy_px[:, 0] + others.xyxy_px[:, 2])
             centre_u_px = np.append(centre_u_px, others_u_px)
-        camera = seen.observation.camera
+        camera = detections.observation.camera
         assert camera is not None  # the caller checked
         return camera.bearing_of(centre_u_px), alpha
 

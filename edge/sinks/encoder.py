@@ -187,15 +187,15 @@ class ResultEncoder:
         for goal in result.goals:
             encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
             yield _PendingMessage(channels.GOAL, goal.stamp_ns, encode)
-        for answer in result.goal_statuses:
-            fields = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
+        for status in result.goal_statuses:
+            fields = {"stamp": status.stamp_ns, "state": status.state, "reason": status.reason}
             yield _PendingMessage(channels.GOAL_STATUS, now_ns, partial(json_bytes, fields))
         for event in result.events:
             yield _PendingMessage(channels.EVENTS, event.now_ns, partial(_encode_log, *event))
-        status = result.status
-        if (status.target, status.phase, status.reason) != self._mission:
-            self._mission = (status.target, status.phase, status.reason)
-            yield _PendingMessage(channels.MISSION, now_ns, partial(json_bytes, asdict(status)))
+        mission = result.status
+        if (mission.target, mission.phase, mission.reason) != self._mission:
+            self._mission = (mission.target, mission.phase, mission.reason)
+            yield _PendingMessage(channels.MISSION, now_ns, partial(json_bytes, asdict(mission)))
         if self._limiter.take_turn("status", now_ns):
             yield _PendingMessage(
                 channels.STATUS, now_ns, partial(json_bytes, status_message(result))

@@ -107,6 +107,6 @@ class GoalActions:
         self._docker.docked = False
         self._navigator.send(goal)
 
-    def _send_status(self, answer: GoalStatus) -> None:
-        fields = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
+    def _send_status(self, status: GoalStatus) -> None:
+        fields = {"stamp": status.stamp_ns, "state": status.state, "reason": status.reason}
         self._status_publisher.put(json.dumps(fields).encode())

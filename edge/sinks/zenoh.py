@@ -95,8 +95,9 @@ class ZenohSink:
 
     def tick(self, result: TickResult) -> None:
         """Queue what changed; see `edge.loop.result.Sink`."""
-        for answer in result.goal_statuses:
-            self._worker.enqueue(("answered", (answer.stamp_ns, answer.state != "accepted")))
+        for goal_status in result.goal_statuses:
+            settled = goal_status.state != "accepted"
+            self._worker.enqueue(("goal_status", (goal_status.stamp_ns, settled)))
         for goal in result.goals:
             self._put("goal", goal)
         now_ns, status = result.now_ns, result.status
@@ -153,7 +154,7 @@ class ZenohSink:
     def _deliver(self, message: tuple[str, Any]) -> None:
         """Publish one queued item, and keep it if it is repeated."""
         name, item = message
-        if name == "answered":
+        if name == "goal_status":
             self._slow_down(*item)
             return
         try:

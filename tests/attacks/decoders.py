@@ -22,7 +22,8 @@ from edge.bus.wire import compressed, messages, navigation, transforms
 from edge.cli.mission import as_text
 from edge.geometry import SE2, CameraModel, Grid
 from edge.lab.motion.process import parse_tick
-from edge.loop.requests.handlers import MODEL_VERBS, mission_verbs
+from edge.loop.requests.handlers import mission_verbs
+from edge.loop.requests.model_requests import MODEL_VERBS
 from edge.sources.goal_status import parse_goal_status
 from edge.sources.truth import parse_labels
 from edge.sources.zmq import parse_header

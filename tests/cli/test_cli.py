@@ -284,8 +284,8 @@ def test_the_demos_page_is_at_one_port_and_stays(
 ):
     usual, served = free_port(), []
 
-    def serve(config, *_, stay, recorded):
-        served.append((config.http.port, stay))
+    def serve(config, stop, options):
+        served.append((config.http.port, options.stay))
         raise Stopped
 
     monkeypatch.setattr(run_commands, "LIVE_PORT", usual)
@@ -339,7 +339,7 @@ def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch, c
 def test_a_stopped_service_does_not_fail_with_its_mission(once, phase, code, monkeypatch):
     mission = SimpleNamespace(phase=phase)
     record = SimpleNamespace(latency=SimpleNamespace(table=str), mission=mission)
-    monkeypatch.setattr(run_commands, "_serve", lambda *_, **__: record)
+    monkeypatch.setattr(run_commands, "_serve", lambda *_: record)
     monkeypatch.setattr(run_commands, "summary", lambda status: status.phase)
     assert run_commands.run_service(simulated(), threading.Event(), once, None) == code
 

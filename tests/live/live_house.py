@@ -146,7 +146,10 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     pages, stop = {**vitals.pages(), **view.pages()}, threading.Event()
     with serve(pages, HERE, 0, known, PROBES, view.forms(), PUBLIC) as port:
         house = House(port, view, closed, brittle, tasked)
-        running = RunningService(config, closed.service, closed.worker, house.robot, queues)
+        running = RunningService(
+            config=config, service=closed.service, worker=closed.worker, source=house.robot,
+            servers=queues,
+        )  # fmt: skip
         thread = threading.Thread(
             target=loop, args=(running, stop), kwargs={"each": partial(vitals.beat, running)}
         )

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.bus.verbs import MAX_CHARS, Request, read_request
-from edge.loop.requests.handlers import MODEL_VERBS, handle_model, mission_verbs
+from edge.loop.requests.handlers import mission_verbs
+from edge.loop.requests.model_requests import MODEL_VERBS, ModelRequests
 from edge.perception.detection.sim import SimDetector
 from edge.perception.swap.base import SwapError
 from edge.perception.swap.detector import DetectorSwap
@@ -128,10 +129,12 @@ def test_a_model_request_is_answered_with_the_swap_state():
     worker = DetectorWorker(SimDetector(perception.detector, ["chair"]), inline=True)
     swapper = DetectorSwap(perception, worker, lambda *_: None)
 
-    def use(model: str) -> dict:
-        return handle_model(swapper, Request("use", {"model": model, "force": False}), 0)
+    handle = ModelRequests(swapper).handle
 
-    assert handle_model(swapper, Request("status"), 0)["state"] == "idle"
+    def use(model: str) -> dict:
+        return handle(Request("use", {"model": model, "force": False}), 0)
+
+    assert handle(Request("status"), 0)["state"] == "idle"
     with pytest.raises(SwapError, match="runs already"):
         use(worker.detector.name)
     begun = use("nothing")

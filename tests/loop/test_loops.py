@@ -85,7 +85,10 @@ def running_of(
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
         service.perception.worker = service.parts_status._worker = worker
-    return RunningService(closed.config, service, service.perception.worker, source, servers)
+    return RunningService(
+        config=closed.config, service=service, worker=service.perception.worker, source=source,
+        servers=servers,
+    )  # fmt: skip
 
 
 def run_out(run: RunningService, seen: list[Observation]) -> None:

@@ -12,7 +12,7 @@ from edge.bus.verbs import Request
 from edge.errors import UserError
 from edge.host import resources
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.requests.handlers import MODEL_VERBS, handle_model
+from edge.loop.requests.model_requests import MODEL_VERBS, ModelRequests
 from edge.loop.status import status_message
 from edge.perception.runtime.cards import ModelError
 from edge.perception.swap.base import SwapError
@@ -49,27 +49,32 @@ class Failing:
         """Nothing is open."""
 
 
-def request(loop, **fields):
-    do = fields.pop("do")
-    verb = MODEL_VERBS[do]
-    fields = verb.read(fields)
-    prepared = verb.prepare(fields) if verb.prepare else None
-    swapper = loop.service.detector_swap
-    return handle_model(swapper, Request(do, fields, prepared=prepared), 0, loop.scorers)
+def requests_to(loop):
+    """Return a function that makes model requests."""
+    handle = ModelRequests(loop.service.detector_swap, loop.scorers).handle
+
+    def request(do, **fields):
+        verb = MODEL_VERBS[do]
+        fields = verb.read(fields)
+        prepared = verb.prepare(fields) if verb.prepare else None
+        return handle(Request(do, fields, prepared=prepared), 0)
+
+    return request
 
 
 def test_a_model_of_another_family_is_swapped_in(models_dir):
     publish(models_dir, "text", "words")
     publish(models_dir, "smolvlm", "eyes")
     loop = ClosedLoop(settings())
+    request = requests_to(loop)
     choice = eventually(lambda: loop.step() or loop.scorers.answers.choice)
     assert choice.p.sum() + choice.elsewhere == pytest.approx(1.0, abs=1e-5)
-    assert request(loop, do="status")["state"] == "idle"
-    begun = request(loop, do="use", model="eyes")
+    assert request("status")["state"] == "idle"
+    begun = request("use", model="eyes")
     assert (begun["state"], begun["model"], begun["number"]) == ("loading", "eyes", 1)
     assert begun["key"] == "perception.choice.card"
     with pytest.raises(SwapError, match="eyes is still loading"):
-        request(loop, do="use", model="eyes")
+        request("use", model="eyes")
 
     for _ in range(3):
         loop.step()
@@ -77,14 +82,14 @@ def test_a_model_of_another_family_is_swapped_in(models_dir):
     def switched():
         # Only a part of the tick: otherwise the house is explored before the model is loaded.
         loop.scorers.collect_answers(loop.service.map.grid.values)
-        return request(loop, do="status")["state"] == "on probation"
+        return request("status")["state"] == "on probation"
 
     eventually(switched)
 
     def kept():
         loop.step()
         eventually(lambda: loop.scorers._choice.idle)
-        return request(loop, do="status")["state"] == "kept"
+        return request("status")["state"] == "kept"
 
     eventually(kept)
     since_ns = loop.service.stamp_ns
@@ -100,16 +105,16 @@ def test_a_model_of_another_family_is_swapped_in(models_dir):
     assert not np.array_equal(seen.p, choice.p)
     assert loop.service.status.phase == "searching"
 
-    assert request(loop, do="pause")["paused"]
+    assert request("pause")["paused"]
     eventually(lambda: loop.scorers._choice.idle)
     asked = loop.scorers.status()["choice"]["asked"]
     for _ in range(10):
         loop.step()
     assert loop.scorers.status()["choice"]["asked"] == asked
-    assert not request(loop, do="resume")["paused"]
+    assert not request("resume")["paused"]
     eventually(lambda: loop.step() or loop.scorers.status()["choice"]["asked"] > asked)
     with pytest.raises(ModelError, match="no such card"):
-        request(loop, do="use", model="none")
+        request("use", model="none")
     loop.close()
 
 
@@ -127,8 +132,9 @@ def test_a_failing_model_is_counted_and_the_loop_continues(models_dir, caplog):
 def test_requests_without_a_matching_scorer_are_refused(models_dir):
     publish(models_dir, "text", "words")
     loop = ClosedLoop(simulated({"sim": {"lockstep": True}, "loop": {"lockstep": True}}))
+    request = requests_to(loop)
     with pytest.raises(UserError, match="no scorers are configured"):
-        request(loop, do="pause")
+        request("pause")
     with pytest.raises(SwapError, match=r"set perception\.choice\.kind to onnx"):
-        request(loop, do="use", model="words")
+        request("use", model="words")
     loop.close()

@@ -311,7 +311,7 @@ def test_a_rounded_stamp_still_matches_its_goal(off_ns, caplog):
     stamp_ns = service.goals.goal.stamp_ns
     service.on_goal_status(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
     assert service.goals.goal_status == GoalStatus(stamp_ns, "accepted", "rounded")
-    assert service.publisher.goal_statuses[-1].stamp_ns == stamp_ns  # by which it is not sent again
+    assert service.outbox.goal_statuses[-1].stamp_ns == stamp_ns  # by which it is not sent again
     assert "goal_status" not in caplog.text
 
 

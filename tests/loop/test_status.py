@@ -8,7 +8,7 @@ from dataclasses import replace
 from results import facts, result
 from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, written
 
-from edge.loop.status import MOST_POSES, MOST_ROUNDS, reply_json, status_message, task_json
+from edge.loop.status import MOST_ATTEMPTS, MOST_POSES, reply_json, status_message, task_json
 from edge.tasks.refine import RefinedTrajectory
 from edge.types import MissionStatus
 
@@ -51,6 +51,6 @@ def test_however_much_a_model_says_the_message_stays_small():
         task, missing=task.notes * 1000, notes=task.notes * 1000, steps=task.steps * 1000
     )
     said = task_json(replace(task, instruction=task.prompt, understood=task.prompt))
-    assert (said["answers"], len(said["rounds"])) == (20, MOST_ROUNDS)
+    assert (said["answers"], len(said["rounds"])) == (20, MOST_ATTEMPTS)
     assert len(said["trajectory"]) == MOST_POSES
     assert len(json.dumps(said)) < MOST_BYTES

@@ -115,6 +115,15 @@ def test_objects_that_are_apart_are_never_merged(scene):
     assert len(s.tracker) == 2
 
 
+def test_gaps_are_forgotten_with_their_objects(scene):
+    s = scene(merge_m=0.6)
+    s.see(("chair", 2, 0, 0.6), ("chair", 2, 0.55, 0.5))
+    assert s.fusion._seen_apart == {(1, 2): 1}
+    s.tracker.clear()
+    s.see()
+    assert not s.fusion._seen_apart
+
+
 def test_two_boxes_at_a_rejected_object_start_no_other(scene):
     s = scene(merge_m=0.6)
     s.see(("chair", 2, 0, 0.6))

@@ -115,17 +115,15 @@ def run_bench(
         has_topics = playback.has_bus_topics
         for line in () if has_topics else playback.describe_contents():
             log.info("%s", line)
-        make_source = None if has_topics else playback.open
-        running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
+        own = {} if has_topics else {"make_source": playback.open, "clock": playback.clock}
+        running = stack.enter_context(open_service(config, [], stop=stop, **own))
         ready_s = time.perf_counter() - began_s
         log.info(
             "service ready after %.1f s; playing %s for %g s", ready_s, recording.name, seconds
         )
         if has_topics:
             process = stack.enter_context(player(config, recording))
-            is_over = partial(_has_failed, process)
-        else:
-            running.clock, is_over = playback.clock, lambda seen: playback.is_over
+        is_over = partial(_has_failed, process) if has_topics else lambda seen: playback.is_over
         stop_in_time = _stopwatch(running.source.counters, is_over, seconds, stop)
         measured_swap = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
 

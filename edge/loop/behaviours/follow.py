@@ -136,8 +136,8 @@ class FollowBehaviour:
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
         targets, only_confirmed = mission.spec.targets, not self._config.policy.instances
         # An object that the robot drives past may get lost, but is not searched for again.
-        seen = newest_ids(self._map.tracker, targets, only_confirmed, with_contested=False)
-        mission.on_detections(seen, now_ns, keep=self.phase != "looking")
+        newest = newest_ids(self._map.tracker, targets, only_confirmed, with_contested=False)
+        mission.on_detections(newest, now_ns, keep=self.phase != "looking")
         if not (goals.follows(mission) and mission.active):
             return
         leaves_zone = goals.goal is not None and goals.goal.kind == "zone_exit"
@@ -251,7 +251,7 @@ class FollowBehaviour:
 
     def _request_plan(
         self,
-        seen: Observation,
+        observation: Observation,
         found: Detections | None,
         before: PlanResult | None = None,
         nearer_to: tuple[int, str] | None = None,
@@ -261,11 +261,11 @@ class FollowBehaviour:
         A model gets copies of image, depth and cloud, so that it does not hold their frame.
         """
         mission, worker = self._mission, self._worker
+        rgb = depth_m = cloud_m = None
         if is_by_model(self._config) and before is None:
-            rgb, depth_m, cloud_m = map(_copied, (seen.rgb, seen.depth_m, seen.cloud_m))
-        else:
-            rgb = depth_m = cloud_m = None
-        at_request = replace(seen, rgb=rgb, depth_m=depth_m, cloud_m=cloud_m, slot=None)
+            arrays = observation.rgb, observation.depth_m, observation.cloud_m
+            rgb, depth_m, cloud_m = map(_copied, arrays)
+        at_request = replace(observation, rgb=rgb, depth_m=depth_m, cloud_m=cloud_m, slot=None)
         instances = {
             one.id: one.copied()
             for label in mission.spec.targets
@@ -287,9 +287,9 @@ class FollowBehaviour:
         retry, log = self._retry, partial(_log, self._mission)
         retry.ambiguous = result.ambiguous
         to_verify = self.target_objects()
-        for n, answer in enumerate(result.rounds, start=1):
-            if answer.error and request.before is None:
-                log(f"answer {n} of the model: {answer.error}", now_ns)
+        for n, attempt in enumerate(result.rounds, start=1):
+            if attempt.error and request.before is None:
+                log(f"answer {n} of the model: {attempt.error}", now_ns)
         if result.refined is not None:
             refined = result.refined
             if request.nearer_to is not None:  # other facts stay those of the task's trajectory

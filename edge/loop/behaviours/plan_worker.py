@@ -67,7 +67,8 @@ class PlanResult:
             trajectory.
         grounds: Labels of the regions that were chosen for the trajectory.
         n_done: Number of steps of the task that are done at the end of the trajectory.
-        understood: See `edge.tasks.facts.TaskStatus`, like `prompt` and `rounds`.
+        understood: See `edge.tasks.facts.TaskStatus`, like `prompt`.
+        rounds: Attempts of the model; recordings have this name.
     """
 
     refined: RefinedTrajectory | None = None
@@ -189,7 +190,7 @@ class PlanWorker:
         self.request = None
         return result, request
 
-    def name_ground(self, seen: Observation, now_ns: int) -> None:
+    def name_ground(self, observation: Observation, now_ns: int) -> None:
         """Name the ground that the image shows, at most once in `GROUND_PERIOD_NS`.
 
         Nothing waits for the network but the next request, so it gets no image while one waits.
@@ -197,25 +198,25 @@ class PlanWorker:
         votes, classifier, newest_ns = self.ground_votes, self._ground, self._ground_ns
         if votes is None or classifier is None or self.request is not None:
             return
-        ranged = seen.depth_m is not None or seen.cloud_m is not None
+        ranged = observation.depth_m is not None or observation.cloud_m is not None
         is_due = newest_ns is None or now_ns - newest_ns >= GROUND_PERIOD_NS
-        pictured = seen.rgb is not None and seen.camera is not None
+        pictured = observation.rgb is not None and observation.camera is not None
         if is_due and ranged and pictured and self._inner_worker.idle:
             self._ground_ns = now_ns
-            seen.hold()
-            add = partial(add_ground, votes, classifier, seen, self._config.mapping)
-            self._inner_worker.submit(ImageUpdate(seen, add), "ground")
+            observation.hold()
+            add = partial(add_ground, votes, classifier, observation, self._config.mapping)
+            self._inner_worker.submit(ImageUpdate(observation, add), "ground")
 
     def add_detections(self, found: Detections) -> None:
         """Add the detections to the objects."""
-        perception, seen = self._config.perception, found.observation
+        perception, observation = self._config.perception, found.observation
         found = found.above(perception.tau_det)
-        ranged = seen.depth_m is not None or seen.cloud_m is not None
-        if len(found) and ranged and seen.camera is not None:
-            seen.hold()
+        ranged = observation.depth_m is not None or observation.cloud_m is not None
+        if len(found) and ranged and observation.camera is not None:
+            observation.hold()
             range_m = perception.back_projection_max_range_m
             add = partial(add_detections, self.objects, found, range_m)
-            self._inner_worker.submit(ImageUpdate(seen, add), "objects")
+            self._inner_worker.submit(ImageUpdate(observation, add), "objects")
 
     def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
         """Use another configuration from the next request on; see `Behaviour.reconfigure`."""
@@ -342,12 +343,12 @@ def _frame_detector(request: PlanRequest) -> FrameDetector | None:
     It opens the configured detector once more, for one picture: the service's own is in use. The
     simulator's detector cannot be opened twice.
     """
-    config, seen = request.config, request.observation
-    has_points = seen.cloud_m is not None or seen.depth_m is not None
-    if seen.rgb is None or not has_points or config.perception.detector.kind == "sim":
+    config, observation = request.config, request.observation
+    has_points = observation.cloud_m is not None or observation.depth_m is not None
+    if observation.rgb is None or not has_points or config.perception.detector.kind == "sim":
         return None
     return FrameDetector(
-        seen, lambda name: open_pipeline(config.perception, (name,)),
+        observation, lambda name: open_pipeline(config.perception, (name,)),
         _margins(config).clearance_m, config.mapping.range_m,
     )  # fmt: skip
 

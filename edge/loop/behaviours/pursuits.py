@@ -90,12 +90,8 @@ class Pursuit(Generic[DestinationType]):
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
-        retargets_before = self._mission.retargets
         self._begin(context)
-        self._goals.check_progress(
-            self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
-        )
-        if self._mission.retargets != retargets_before or self._mission.done:
+        if not self._follow_goal(context, images):
             return
         if self._probable is not None:
             self._check_probable(self._probable, context)
@@ -103,6 +99,14 @@ class Pursuit(Generic[DestinationType]):
             self.finish(context.now_ns)
         elif self._goals.phase == "searching":
             self._mind_limits(context.now_ns)
+
+    def _follow_goal(self, context: PolicyInput, images: int) -> bool:
+        """Handle the progress of the goal; return True if the target is still active."""
+        mission, retargets_before = self._mission, self._mission.retargets
+        self._goals.check_progress(
+            self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
+        )
+        return mission.retargets == retargets_before and not mission.done
 
     def _begin(self, context: PolicyInput) -> None:
         """Note the time of the first observation: an object must be seen after it."""
@@ -287,12 +291,12 @@ class CheckAnswer:
         confirmed = self._map.tracker.of(self.label, only_confirmed=True)
         return [one for one in confirmed if one.last_seen_ns >= self._since_ns]
 
-    def answer_yes(self, seen: Sequence[Instance], context: PolicyInput) -> None:
+    def answer_yes(self, found: Sequence[Instance], context: PolicyInput) -> None:
         """Answer that these objects are there."""
         pose = context.pose
-        at = min(seen, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
+        at = min(found, key=lambda one: one.distance_m(pose.x_m, pose.y_m))
         x_m, y_m, _ = at.center_m.tolist()
-        others = f"; {len(seen)} in all" if len(seen) > 1 else ""
+        others = f"; {len(found)} in all" if len(found) > 1 else ""
         where = f"at ({x_m:.1f}, {y_m:.1f}), {at.distance_m(pose.x_m, pose.y_m):.1f} m away{others}"
         room = self._map.rooms.room_phrase(x_m, y_m) or self._room
         answer = " ".join(filter(None, ("yes, there is a", self.label, room, where)))
@@ -339,8 +343,8 @@ class CheckPursuit(Pursuit[CheckTarget]):
     def check_progress(self, context: PolicyInput, images: int) -> None:
         answer = self._answer
         self._mission.activity = f"checking for the {answer.label}"
-        if seen := answer.new_detections(context):
-            answer.answer_yes(seen, context)
+        if found := answer.new_detections(context):
+            answer.answer_yes(found, context)
         elif not answer.time_is_over(context.now_ns):
             super().check_progress(context, images)
 

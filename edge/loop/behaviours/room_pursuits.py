@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import compress
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,31 @@ _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when al
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 
 
+@dataclass(eq=False)
+class RoomVisit:
+    """The way to one room, and the arrival in it.
+
+    Attributes:
+        chosen_id: Id of the room to go to; 0: none.
+        is_final: True if all is explored: the choice stays.
+        closed_room: The likeliest room that the target may mean, if zones close all such rooms.
+        exploring_id: Id of the room that is explored around `arrived_m`; 0: none.
+        explored_id: Id of the room whose exploration is complete; 0: none.
+        arrived_m: (2,) float32, where the robot came into the room.
+        surveyed: The newest survey that agreed that the robot is inside.
+        agreed: Number of surveys since the arrival that agree.
+    """
+
+    chosen_id: int = 0
+    is_final: bool = False
+    closed_room: MappedRoom | None = None
+    exploring_id: int = 0
+    explored_id: int = 0
+    arrived_m: np.ndarray = field(default_factory=lambda: np.zeros(2, np.float32))
+    surveyed: RoomSurvey | None = None
+    agreed: int = 0
+
+
 class RoomPursuit(Pursuit[RoomTarget]):
     """Pursuit of a room: explore where it is likely; when it is known, go inside.
 
@@ -57,23 +83,17 @@ class RoomPursuit(Pursuit[RoomTarget]):
     `next` (the nearest unvisited one), or `with` ("the room with a sofa").
     """
 
-    _chosen_id = 0  # id of the room to go to; 0: none
-    _exploring_id = 0  # id of the room that is explored around `_arrived_m`; 0: none
-    _explored_id = 0  # id of the room whose exploration is complete; 0: none
-    _arrived_m = np.zeros(2, np.float32)  # where the robot came into the room
-    # The likeliest room that the target may mean, if zones close all such rooms.
-    _closed_room: MappedRoom | None = None
-    _is_final = False  # True if all is explored: the choice stays
-    _wanted = "it"  # the target, in the activity
-    _surveyed: RoomSurvey | None = None  # the newest survey that agreed
-    _agreed = 0  # number of surveys since the arrival that agree
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._visit = RoomVisit()
+        self._wanted = "it"  # the target, in the activity
 
     def target_objects(self) -> Sequence[Instance]:
         return ()
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         mission, room = self._mission, self._choose(context)
-        if room is None and self._closed_room is not None and self._kind is None:
+        if room is None and self._visit.closed_room is not None and self._kind is None:
             self.finish(context.now_ns)
             return
         if room is None and self._may_guess():
@@ -86,7 +106,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         number = f"room {room.id}"
         name = number if room.title == number else f"{room.title}, {number}"
         why = one_line(f"the {name}" + (f": {room.reason}" if room.reason else ""))
-        if self._is_final and self._kind is not None:
+        if self._visit.is_final and self._kind is not None:
             why = f"room {room.id}, the most likely {self._kind}"
         if self._is_inside(room, context):
             self._chooser.abandon()
@@ -100,21 +120,21 @@ class RoomPursuit(Pursuit[RoomTarget]):
         self._mission.on_reached(evidence, now_ns)
 
     def finish(self, now_ns: int) -> None:
-        room, kind = self._map.rooms.room(self._chosen_id), self._kind
+        room, kind = self._map.rooms.room(self._visit.chosen_id), self._kind
         if room is not None:
             pass  # this room was chosen before, and there is no path to it
         elif self._destination.which == "largest":
             room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
-        elif self._closed_room is not None:
-            room = self._closed_room  # no other is likelier
+        elif self._visit.closed_room is not None:
+            room = self._visit.closed_room  # no other is likelier
         elif kind is not None:
             room = self._most_likely(kind)
         if room is not None and is_closed(room, self._map, kind):
             self._mission.abandon_target(f"a zone closes {room.phrase}, room {room.id}", now_ns)
-        elif room is None or self._chosen_id == room.id:
+        elif room is None or self._visit.chosen_id == room.id:
             super().finish(now_ns)
         else:  # a last chance: go to this room
-            self._chosen_id, self._is_final = room.id, True
+            self._visit.chosen_id, self._visit.is_final = room.id, True
 
     def _may_guess(self) -> bool:
         """Return True if all is explored, and a room may well be of the wanted kind."""
@@ -141,7 +161,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
             prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
             scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
         scores = np.asarray(scores, np.float32)
-        room = self._map.rooms.room(self._chosen_id)
+        room = self._map.rooms.room(self._visit.chosen_id)
         if room is not None and self._explore_around_arrival(room, context):
             return self._chooser.choose(context, grid, scores, images)
         if room is not None:
@@ -175,15 +195,15 @@ class RoomPursuit(Pursuit[RoomTarget]):
         inside = self._map.rooms.entered_room(context.pose.x_m, context.pose.y_m) == room.id
         if not inside or not self._is_found_by_kind(room):
             return inside
-        goal = self._goals.goal
+        goal, visit, survey = self._goals.goal, self._visit, self._map.rooms.survey
         if not self._goals.arrived or goal is None or goal.kind != "place":
-            self._agreed = 0
-        elif self._explored_id != room.id:
-            self._exploring_id = room.id
-            self._arrived_m = np.array((context.pose.x_m, context.pose.y_m), np.float32)
-        elif self._map.rooms.survey is not self._surveyed:
-            self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
-        return self._agreed > _SURVEYS  # the first one is the survey of the arrival
+            visit.agreed = 0
+        elif visit.explored_id != room.id:
+            visit.exploring_id = room.id
+            visit.arrived_m = np.array((context.pose.x_m, context.pose.y_m), np.float32)
+        elif survey is not visit.surveyed:
+            visit.surveyed, visit.agreed = survey, visit.agreed + 1
+        return visit.agreed > _SURVEYS  # the first one is the survey of the arrival
 
     def _is_found_by_kind(self, room: MappedRoom) -> bool:
         """Return True if the room is taken for the target because of its objects, not its name."""
@@ -194,15 +214,15 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
         All other frontiers are then blocked in this tick.
         """
-        if self._exploring_id != room.id or not self._is_found_by_kind(room):
+        if self._visit.exploring_id != room.id or not self._is_found_by_kind(room):
             return False
         self._block_outside(room)
         c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
-        c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
+        c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._visit.arrived_m).T) > _AROUND_M
         left = rank_candidates(c, c.path_m[: c.n], context.pose, delta_m)  # indices, not blocked
         if np.isfinite(c.path_m[left]).any():
             return True
-        self._exploring_id, self._explored_id = 0, room.id
+        self._visit.exploring_id, self._visit.explored_id = 0, room.id
         return False
 
     def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
@@ -238,13 +258,13 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def _choose(self, context: PolicyInput) -> MappedRoom | None:
         """Return the room to go to; None if none is known. A choice stays while it is possible."""
-        rooms, which = self._map.rooms, self._destination.which
-        kept = self._is_final or which == "next"
-        if kept and (room := rooms.room(self._chosen_id)) is not None:
+        rooms, which, visit = self._map.rooms, self._destination.which, self._visit
+        kept = visit.is_final or which == "next"
+        if kept and (room := rooms.room(visit.chosen_id)) is not None:
             return room
         known = self._known_rooms()
         found = [room for room in known if not is_closed(room, self._map, self._kind)]
-        self._closed_room = known[0] if known and not found else None
+        visit.closed_room = known[0] if known and not found else None
         if which == "next":
             # Prefer rooms with a door to the robot's own; else any other that can be reached.
             current = rooms.room_at(context.pose.x_m, context.pose.y_m)
@@ -255,12 +275,12 @@ class RoomPursuit(Pursuit[RoomTarget]):
                 if np.isfinite(self._distance_m(room)) and room is not current
             ]
             found = [room for room in found if room.id in next_door] or found
-        chosen = next((room for room in found if room.id == self._chosen_id), None)
+        chosen = next((room for room in found if room.id == visit.chosen_id), None)
         if chosen is None and found:
             chosen = min(found, key=lambda room: (self._distance_m(room), room.id))
         number = 0 if chosen is None else chosen.id
-        if number != self._chosen_id:
-            self._chosen_id = number
+        if number != visit.chosen_id:
+            visit.chosen_id = number
             self._chooser.abandon()
         return chosen
 
@@ -311,10 +331,11 @@ class ExploreRoomPursuit(RoomPursuit):
         else:
             left = "" if self._limit_s is None else f", {time_left(left_s)}"
             self._mission.activity = f"{self._activity} {self._phrase}{left}"
-            self._explore_inside(context, images)
+            if self._follow_goal(context, images) and self._chooser.search.exhausted:
+                self.end(context.now_ns)  # no candidate in the room is left
 
     def arrive(self, evidence: str, now_ns: int) -> None:
-        self._inside = self._map.rooms.room(self._chosen_id)
+        self._inside = self._map.rooms.room(self._visit.chosen_id)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         if self._inside is None:
@@ -326,7 +347,7 @@ class ExploreRoomPursuit(RoomPursuit):
         return self._chooser.choose(context, self._map.grid, scores, images)
 
     def _failure_reason(self) -> str:
-        missing = f"{'no path to the' if self._chosen_id else 'no'} {self._destination.name}"
+        missing = f"{'no path to the' if self._visit.chosen_id else 'no'} {self._destination.name}"
         return self._chooser.failure_reason(self._mission, self._map.grid, missing)
 
     def end(self, now_ns: int) -> None:
@@ -337,19 +358,6 @@ class ExploreRoomPursuit(RoomPursuit):
             name = self._phrase.removeprefix("the ")
             known = f"{name}: {self._inside.area_m2:.0f} m² are known, {found}"
         self._mission.on_reached(known, now_ns, known)
-
-    def _explore_inside(self, context: PolicyInput, images: int) -> None:
-        """Follow the goal; end the target when no candidate in the room is left."""
-        mission, retargets_before = self._mission, self._mission.retargets
-        self._goals.check_progress(
-            self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
-        )
-        if (
-            mission.retargets == retargets_before
-            and not mission.done
-            and self._chooser.search.exhausted
-        ):
-            self.end(context.now_ns)
 
     def _in_room(self, instances: Sequence[Instance]) -> list[Instance]:
         """Return those of the objects that are in the room; none before the robot was inside.

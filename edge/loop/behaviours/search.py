@@ -133,8 +133,8 @@ class SearchBehaviour:
         pose, now_ns = context.pose, context.now_ns
         self._forget_last_round()
         only_confirmed = not self._config.policy.instances
-        seen = newest_ids(self._map.tracker, self._object_targets, only_confirmed)
-        mission.on_detections(seen | known_targets(mission, self._map), now_ns)
+        newest = newest_ids(self._map.tracker, self._object_targets, only_confirmed)
+        mission.on_detections(newest | known_targets(mission, self._map), now_ns)
         close_forbidden(mission, self._map)
         if self._travel_costs is not None:
             positions_of = partial(positions_of_target, mission, self._map, pose)

@@ -10,7 +10,7 @@ import numpy as np
 from edge import names
 from edge.geometry import SE2
 from edge.loop.behaviours.pursuits import Pursuit, objects_found
-from edge.loop.behaviours.room_pursuits import ExploreRoomPursuit, SearchRoomPursuit
+from edge.loop.behaviours.room_pursuits import ExploreRoomPursuit, RoomVisit, SearchRoomPursuit
 from edge.loop.behaviours.room_targets import is_closed
 from edge.loop.goals.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
@@ -46,13 +46,13 @@ class EveryRoomPursuit(ExploreRoomPursuit):
         self._missed_m: list[tuple[float, float]] = []
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
-        room = self._map.rooms.room(self._chosen_id)
+        room = self._map.rooms.room(self._visit.chosen_id)
         if room is not None and self._chooser.place_failures >= _TRIES:
             self._missed_m.append(room.xy_m)
             self._next_room()
         if self._inside is not None:
             self._phrase = self._inside.phrase
-        elif not self._chosen_id and self._chooser.search.exhausted and not self._known_rooms():
+        elif self._chooser.search.exhausted and not (self._visit.chosen_id or self._known_rooms()):
             self.finish(context.now_ns)  # retries and second looks find no other room
             return
         super().check_progress(context, images)
@@ -66,10 +66,10 @@ class EveryRoomPursuit(ExploreRoomPursuit):
     def finish(self, now_ns: int) -> None:
         """End the tour: no room is left. If there was none, try the one most likely of the kind."""
         guess = self._most_likely(self._kind) if self._kind and not self._done_m else None
-        if guess is not None and guess.id != self._chosen_id:
+        if guess is not None and guess.id != self._visit.chosen_id:
             tried = self._holds(guess, self._missed_m) or is_closed(guess, self._map, self._kind)
             if not tried:
-                self._chosen_id, self._is_final = guess.id, True
+                self._visit.chosen_id, self._visit.is_final = guess.id, True
                 return
         of_kind = self._rooms_of_kind()
         visited = [room for room in self._map.rooms.rooms if self._holds(room, self._done_m)]
@@ -87,7 +87,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
 
     def _next_room(self) -> None:
         """Start on the next room, with a new search."""
-        self._inside, self._chosen_id, self._is_final = None, 0, False
+        self._inside, self._visit = None, RoomVisit()
         self._chooser.begin_target(self._mission.target)
 
     def _known_rooms(self) -> list[MappedRoom]:

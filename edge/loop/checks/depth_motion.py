@@ -199,15 +199,15 @@ def _misplaced_share(
     v = np.rint(points[:, 1] / expected * camera.fy_px + camera.cy_px)
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     expected, u, v = expected[inside], u[inside].astype(np.int64), v[inside].astype(np.int64)
-    seen = depth_m[v, u]
+    measured = depth_m[v, u]
     rows, columns = view.sample_m.shape
     before = view.sample_m[
         np.minimum(v // stride[0], rows - 1), np.minimum(u // stride[1], columns - 1)
     ]
     # The change that the motion predicts, and the noise of a depth camera: 3 cm + 2 %.
     change, noise = np.abs(expected - before), 0.03 + 0.02 * expected
-    informative = (seen > 0.0) & (before > 0.0) & (change > 2.0 * noise)
-    wrong = informative & (np.abs(seen - expected) > 0.5 * change + noise)
+    informative = (measured > 0.0) & (before > 0.0) & (change > 2.0 * noise)
+    wrong = informative & (np.abs(measured - expected) > 0.5 * change + noise)
     strip = u * _STRIPS // width
     number = np.bincount(strip[informative], minlength=_STRIPS)
     share = np.bincount(strip[wrong], minlength=_STRIPS) / np.maximum(number, 1)

@@ -31,6 +31,8 @@ _BELOW_BASE_M = 1.0  # the floor is at most this far below the base, e.g. at sta
 _STEEP = 0.25  # smallest slope of a ray that is compared with the floor: m down per m of depth
 _MARGIN = 1.3  # a depth may be larger than that of the floor by this factor
 _FARTHEST_M = 100.0  # every depth camera sees something nearer than this
+_Step = tuple[float, float, float]
+"""Motion of the robot from one observation to the next (x, y, yaw)."""
 
 
 @dataclass(slots=True)
@@ -98,59 +100,79 @@ class FrameMeter:
         self._floor = _FloorLimit()
         self._motion = DepthMotionCheck(config.robot.max_speed_mps, config.robot.max_turn_radps)
 
-    def measure(self, seen: Observation, now_ns: int) -> None:
+    def measure(self, observation: Observation, now_ns: int) -> None:
         """Fill `facts`. Measurements that change slowly are made once in `_SLOW_NS`."""
-        facts = self.facts
+        facts, rgb, depth_m = self.facts, observation.rgb, observation.depth_m
         facts.clear()
-        step = self._step(seen.pose)
+        step = self._step(observation.pose)
         slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS  # negative: the clock was set back
         self._slow_ns = now_ns if slow else self._slow_ns
-        self.surroundings_ns = now_ns - seen.lag_ns
-        facts.late_s, facts.pose_age_s = seen.lag_ns * 1e-9, seen.pose_age_ns * 1e-9
+        self.surroundings_ns = now_ns - observation.lag_ns
+        facts.late_s, facts.pose_age_s = observation.lag_ns * 1e-9, observation.pose_age_ns * 1e-9
         facts.floor_lost = float(self.floor_lost)
-        wall = False  # True if something near fills half of the depth image
-        if seen.depth_m is not None and seen.camera is not None:
-            sample = self._depth.sample(seen.depth_m)
-            valid = (sample > 0.0) & (sample < FARTHEST_M)
-            facts.depth_valid = float(np.count_nonzero(valid) / sample.size)
-            if facts.depth_valid >= VALID_SHARE:
-                most = 0.5 * facts.depth_valid * sample.size
-                close = np.count_nonzero(valid & (sample < _CLOSE_M)) > most
-                self._close_at = seen.pose if close else None
-                wall = bool(np.count_nonzero(valid & (sample < _WALL_M)) > most)
-            elif self._is_close(seen.pose):
-                facts.depth_valid = math.nan
-            if facts.depth_valid > 0.0:
-                facts.depth_driven_m = self._unchanged_m(self._depth, seen.depth_m, step, now_ns)
-            if slow:
-                shape, stride, T = seen.depth_m.shape, self._depth.stride, seen.T_base_camera
-                self._scale = self._floor.scale(sample, valid, shape, stride, seen.camera, T)
-            facts.depth_scale = self._scale
-            facts.depth_misfit = self._misfit(seen, seen.depth_m, seen.camera, sample, now_ns)
-        if seen.rgb is not None:
-            sample = self._rgb.sample(seen.rgb)
-            if slow:
-                low, high = float(sample.min()), float(sample.max())
-                # Green is all of grey, and a third of the work.
-                self._levels = high - low, float(sample[..., 1].mean())
-            facts.rgb_levels, facts.rgb_level = self._levels
-            if wall:  # it may have one colour, as in a simulator
-                facts.rgb_levels = math.nan
-            if self._levels[0] > 0.0:  # frames of one colour are all equal
-                facts.rgb_driven_m = self._unchanged_m(self._rgb, seen.rgb, step, now_ns)
-        if seen.rgb is not None or seen.depth_m is not None:
-            facts.axis_z = float(seen.T_base_camera[2, 2])
-        if seen.cloud_m is not None:
-            sample = self._cloud.sample(seen.cloud_m)
-            size = np.abs(sample).max(axis=1)
-            facts.cloud_points = float(np.count_nonzero(size > 0.0))
-            # Beams that hit nothing (inf) look the same from every place.
-            if np.count_nonzero((size > 0.0) & np.isfinite(size)):
-                facts.cloud_driven_m = self._unchanged_m(self._cloud, seen.cloud_m, step, now_ns)
+        wall = False
+        if depth_m is not None and observation.camera is not None:
+            wall = self._measure_depth(observation, depth_m, observation.camera, step, now_ns, slow)
+        if rgb is not None:
+            self._measure_rgb(rgb, step, now_ns, slow, wall)
+        if rgb is not None or depth_m is not None:
+            facts.axis_z = float(observation.T_base_camera[2, 2])
+        if observation.cloud_m is not None:
+            self._measure_cloud(observation.cloud_m, step, now_ns)
 
-    def _unchanged_m(
-        self, frames: _Repeats, array: np.ndarray, step: tuple[float, float, float], now_ns: int
-    ) -> float:
+    def _measure_depth(
+        self,
+        observation: Observation,
+        depth_m: np.ndarray,
+        camera: CameraModel,
+        step: _Step,
+        now_ns: int,
+        slow: bool,
+    ) -> bool:
+        """Measure the depth image; return True if something near fills half of it."""
+        facts, pose, wall = self.facts, observation.pose, False
+        sample = self._depth.sample(depth_m)
+        valid = (sample > 0.0) & (sample < FARTHEST_M)
+        facts.depth_valid = float(np.count_nonzero(valid) / sample.size)
+        if facts.depth_valid >= VALID_SHARE:
+            most = 0.5 * facts.depth_valid * sample.size
+            close = np.count_nonzero(valid & (sample < _CLOSE_M)) > most
+            self._close_at = pose if close else None
+            wall = bool(np.count_nonzero(valid & (sample < _WALL_M)) > most)
+        elif self._is_close(pose):
+            facts.depth_valid = math.nan
+        if facts.depth_valid > 0.0:
+            facts.depth_driven_m = self._unchanged_m(self._depth, depth_m, step, now_ns)
+        if slow:
+            shape, stride, T = depth_m.shape, self._depth.stride, observation.T_base_camera
+            self._scale = self._floor.scale(sample, valid, shape, stride, camera, T)
+        facts.depth_scale = self._scale
+        facts.depth_misfit = self._misfit(observation, depth_m, camera, sample, now_ns)
+        return wall
+
+    def _measure_rgb(
+        self, rgb: np.ndarray, step: _Step, now_ns: int, slow: bool, wall: bool
+    ) -> None:
+        """Measure the colour image; `wall` is the result of `_measure_depth`."""
+        facts, sample = self.facts, self._rgb.sample(rgb)
+        if slow:
+            low, high = float(sample.min()), float(sample.max())
+            # Green is all of grey, and a third of the work.
+            self._levels = high - low, float(sample[..., 1].mean())
+        facts.rgb_levels, facts.rgb_level = self._levels
+        if wall:  # it may have one colour, as in a simulator
+            facts.rgb_levels = math.nan
+        if self._levels[0] > 0.0:  # frames of one colour are all equal
+            facts.rgb_driven_m = self._unchanged_m(self._rgb, rgb, step, now_ns)
+
+    def _measure_cloud(self, cloud_m: np.ndarray, step: _Step, now_ns: int) -> None:
+        size = np.abs(self._cloud.sample(cloud_m)).max(axis=1)
+        self.facts.cloud_points = float(np.count_nonzero(size > 0.0))
+        # Beams that hit nothing (inf) look the same from every place.
+        if np.count_nonzero((size > 0.0) & np.isfinite(size)):
+            self.facts.cloud_driven_m = self._unchanged_m(self._cloud, cloud_m, step, now_ns)
+
+    def _unchanged_m(self, frames: _Repeats, array: np.ndarray, step: _Step, now_ns: int) -> float:
         """Return `_Repeats.driven_m`; a frozen sensor shows old surroundings."""
         driven_m = frames.driven_m(array, step, now_ns)
         if driven_m > FROZEN_AFTER_M:
@@ -168,23 +190,23 @@ class FrameMeter:
 
     def _misfit(
         self,
-        seen: Observation,
+        observation: Observation,
         depth_m: np.ndarray,
         camera: CameraModel,
         sample: np.ndarray,
         now_ns: int,
     ) -> float:
         """Return `DepthMotionCheck.misfit`; a depth image that does not fit shows nothing real."""
-        T, stride = seen.T_map_base, self._depth.stride
+        T, stride = observation.T_map_base, self._depth.stride
         misfit = self._motion.misfit(
-            depth_m, sample, stride, camera, T @ seen.T_base_camera, T[2, 3],
-            seen.stamp_ns, now_ns, self._depth.repeats,
+            depth_m, sample, stride, camera, T @ observation.T_base_camera, T[2, 3],
+            observation.stamp_ns, now_ns, self._depth.repeats,
         )  # fmt: skip
         if misfit > MISFIT:
             self.surroundings_ns = min(self.surroundings_ns, self._motion.since_ns)
         return misfit
 
-    def _step(self, pose: SE2) -> tuple[float, float, float]:
+    def _step(self, pose: SE2) -> _Step:
         """Return how the pose moved since the last observation (x, y, yaw)."""
         last, self._pose = self._pose or pose, pose
         return pose.x_m - last.x_m, pose.y_m - last.y_m, wrap_angle(pose.yaw_rad - last.yaw_rad)
@@ -229,7 +251,7 @@ class _Repeats:
         np.copyto(self._sample, picked)
         return self._sample
 
-    def driven_m(self, array: np.ndarray, step: tuple[float, float, float], now_ns: int) -> float:
+    def driven_m(self, array: np.ndarray, step: _Step, now_ns: int) -> float:
         """Return the distance (1 rad of turn counts as 1 m) since the frames last changed.
 
         The longest step does not count, because a localisation may have corrected the pose of a

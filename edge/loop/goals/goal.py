@@ -12,7 +12,7 @@ from typing import Literal
 from edge.config import Config
 from edge.geometry import SE2
 from edge.loop.goals.candidates import CandidatePool
-from edge.loop.goals.goal_choice import GoalChooser, TrackedGoal, free_goal
+from edge.loop.goals.goal_choice import GoalChooser, TrackedGoal, goal_without_candidate
 from edge.loop.goals.goal_client import ARRIVED_M, GoalClient
 from edge.loop.goals.known_goals import AT_PLACE_M
 from edge.loop.goals.standstill import StandstillMonitor
@@ -111,7 +111,7 @@ class GoalTracker:
     def hold_position(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Make the robot stand still, with a goal at its own pose that is not tracked."""
         self.chooser.abandon()
-        self.client.hold(free_goal(pose, now_ns, mission.target), now_ns)
+        self.client.hold(goal_without_candidate(pose, now_ns, mission.target), now_ns)
         self._grace_ns = GRACE_NS
 
     def on_goal_status(self, status: GoalStatus) -> None:
@@ -177,7 +177,7 @@ class GoalTracker:
         tracked = self.chooser.tracked
         self._standstill.on_blocked(grid, pose, self.client.take_blocked(), now_ns)
         if tracked is not None and tracked.sent and tracked.status is None:
-            tracked.status = self.client.arrived(tracked.goal, pose, now_ns)
+            tracked.status = self.client.infer_arrival(tracked.goal, pose, now_ns)
         instance = None
         if tracked is not None and tracked.goal.kind == "instance":
             instance = self._tracker.get(tracked.goal.candidate_id)

@@ -342,8 +342,8 @@ class GoalChooser:
         if turning:
             return tracked
         at = context.pose
-        yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
-        return TrackedGoal(free_goal(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target))
+        pose = SE2(at.x_m, at.y_m, at.yaw_rad + 2.0 * math.pi / TURNS)
+        return TrackedGoal(goal_without_candidate(pose, context.now_ns, context.target))
 
     def _next_viewpoint(
         self, tracked: TrackedGoal | None, context: PolicyInput, grid: RollingMap, images: int
@@ -356,7 +356,8 @@ class GoalChooser:
             return tracked
         yaw_rad = wrap_angle(view.heading_rad - grid.coverage.camera_yaw_rad)
         pose = SE2(view.x_m, view.y_m, yaw_rad)
-        return TrackedGoal(free_goal(pose, context.now_ns, context.target), view=view)
+        goal = goal_without_candidate(pose, context.now_ns, context.target)
+        return TrackedGoal(goal, view=view)
 
     def _find_moved(
         self,
@@ -387,7 +388,7 @@ class GoalChooser:
         return view_goal if is_better else None
 
 
-def free_goal(pose: SE2, now_ns: int, target: str) -> Goal:
+def goal_without_candidate(pose: SE2, now_ns: int, target: str) -> Goal:
     """Return a goal that is for no candidate: a turn on the spot, a viewpoint, or a stop."""
     return Goal(now_ns, pose, "spin", 0, (pose.x_m, pose.y_m), 0.0, target)
 

@@ -130,7 +130,7 @@ class GoalClient:
                 "robot stops there"
             )
 
-    def arrived(self, goal: Goal, pose: SE2, now_ns: int) -> GoalStatus | None:
+    def infer_arrival(self, goal: Goal, pose: SE2, now_ns: int) -> GoalStatus | None:
         """Return a status for a controller that sends none, when the robot stopped at the goal.
 
         The heading is checked only for goals of kind `spin`, because many controllers do not turn

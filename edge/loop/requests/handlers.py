@@ -1,4 +1,4 @@
-"""Requests about missions and models that the running service handles, and the table of all keys.
+"""Requests about missions that the running service handles, and the table of all keys.
 
 Each key has verbs (`{"do": VERB}`) and a handler. A function `_check_…` checks the fields of a verb
 on the request thread, and raises ValueError with the name of a bad field. The handlers run on the
@@ -20,6 +20,7 @@ from edge.errors import UserError
 from edge.loop.behaviours.room_targets import refuse_closed
 from edge.loop.requests.intent_requests import carry_out
 from edge.loop.requests.memory_requests import MEMORY_VERBS, handle_memory
+from edge.loop.requests.model_requests import MODEL_VERBS, ModelRequests
 from edge.loop.requests.site_requests import SITE_VERBS, handle_site
 from edge.loop.result import mission_facts
 from edge.loop.status import reply_json
@@ -34,17 +35,12 @@ from edge.mission.language.intents import (
 from edge.mission.repetition import MAX_ROUNDS, Repetition
 from edge.mission.spec import MissionSpec
 from edge.mission.translate import TranslationError
-from edge.perception.runtime.card_types import DetectCard, DirectionsCard
-from edge.perception.runtime.cards import load_card, load_detector_card
-from edge.perception.swap.base import SwapError
-from edge.perception.swap.detector import DetectorSwap
 from edge.text import bounded_repr, one_line
 
 if TYPE_CHECKING:
-    from edge.loop.scoring.scorers import Scorers
     from edge.loop.service import Service
 
-MAX_NAME_CHARS = 200
+_MAX_WHY_CHARS = 200
 # Ids of missions: also safe as file names and in URLs.
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._~-]{0,63}")
 
@@ -71,7 +67,7 @@ def request_handlers(
         ),
         topics.MODELS_REQUEST: (
             MODEL_VERBS,
-            partial(handle_model, service.detector_swap, scorers=service.perception.scorers),
+            ModelRequests(service.detector_swap, service.perception.scorers).handle,
         ),
         topics.SITE_REQUEST: (SITE_VERBS, partial(handle_site, service)),
         topics.MEMORY_REQUEST: (MEMORY_VERBS, partial(handle_memory, service)),
@@ -216,7 +212,7 @@ def _check_seconds(for_s: object) -> float:
 
 def _check_cancel(fields: dict) -> dict:
     """Return the fields `id` and `why`, if present."""
-    why = {"why": check_text("why", fields["why"], MAX_NAME_CHARS)} if "why" in fields else {}
+    why = {"why": check_text("why", fields["why"], _MAX_WHY_CHARS)} if "why" in fields else {}
     return {**_check_id(fields), **why}
 
 
@@ -337,59 +333,3 @@ def _robot_state(service: Service, problems: Sequence[str]) -> dict[str, object]
         "problems": [one_line(why) for why in problems],
         "known": known,
     }
-
-
-def _check_model(fields: dict) -> dict:
-    """Return the fields `model` and `force`."""
-    name = check_text("model", fields.get("model"), MAX_NAME_CHARS)
-    return {"model": name, "force": check_flag("force", fields)}
-
-
-def _card_to_use(fields: dict) -> DetectCard | DirectionsCard:
-    """Return the card of the model. Raise ModelError if it has no card or cannot be swapped in."""
-    card = load_card(fields["model"])
-    return card if isinstance(card, DirectionsCard) else load_detector_card(fields["model"])
-
-
-MODEL_VERBS = {
-    "use": Verb(("model", "force"), _check_model, _card_to_use),
-    "pause": Verb(),
-    "resume": Verb(),
-    "status": Verb(read_only=True),
-}
-"""Verbs of model requests: `{"do": "use", "model": NAME, "force": true | false}`,
-`{"do": "status"}`, and `{"do": "pause" | "resume"}` for the scorers. The card of a model is checked
-before the request reaches the loop."""
-
-
-def handle_model(
-    detector_swap: DetectorSwap, request: Request, now_ns: int, scorers: Scorers | None = None
-) -> dict:
-    """Handle a model request and return the status of the newest swap.
-
-    Raises:
-        SwapError: The swap cannot be started.
-        UserError: There are no scorers to pause.
-    """
-    choice_swap = None if scorers is None else scorers.swap
-    if request.do in ("pause", "resume"):
-        if scorers is None:
-            raise UserError("no scorers are configured: there is nothing to pause or resume")
-        scorers.paused = request.do == "pause"
-    elif request.do == "use" and isinstance(request.prepared, DirectionsCard):
-        if scorers is None or choice_swap is None:
-            raise SwapError(
-                "no model on this computer chooses directions: set perception.choice.kind to onnx"
-            )
-        choice_swap.request(request.fields["model"])
-        scorers.newest_swap = True
-    elif request.do == "use":
-        detector_swap.request(request.fields["model"], request.fields["force"], now_ns)
-        if scorers is not None:
-            scorers.newest_swap = False
-    if scorers is None or choice_swap is None:
-        return detector_swap.status()
-    newest = choice_swap if scorers.newest_swap else detector_swap
-    # One number for both, so that a client that follows a swap sees that another one has started.
-    number = detector_swap.number + choice_swap.number
-    return {**newest.status(), "number": number, "paused": scorers.paused}

@@ -70,9 +70,9 @@ class SimilarityAnswers:
         return question, question.observation.rgb.copy()
 
     def answer(self, prepared: tuple[SimilarityQuestion, np.ndarray]) -> ImageSimilarity:
-        (seen, targets, _), rgb = prepared
+        (observation, targets, _), rgb = prepared
         score = self._scorer.score(rgb, targets)
-        return ImageSimilarity(seen.stamp_ns, seen.pose, targets, score)
+        return ImageSimilarity(observation.stamp_ns, observation.pose, targets, score)
 
     def close(self) -> None:
         self._scorer.close()
@@ -125,8 +125,8 @@ def objects_in_view(
             word = other_objects.words[other_objects.word[i]]
             if word not in targets:  # the tracker knows more about targets
                 found.append((word, other_objects.xyz_m[i]))
-    seen = [
+    objects = [
         DetectedObject(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
         for word, xy_m in ((word, (float(at[0]), float(at[1]))) for word, at in found)
     ]
-    return tuple(sorted(seen, key=lambda sighting: sighting.distance_m)[:MAX_NAMED_OBJECTS])
+    return tuple(sorted(objects, key=lambda sighting: sighting.distance_m)[:MAX_NAMED_OBJECTS])

@@ -55,7 +55,6 @@ class Scorers:
         value_source: Scorer that writes the value maps, `similarity` or `choice`; may be set.
         paused: True while no questions are asked; may be set.
         swap: Swaps the model of the choice scorer; None if it cannot be swapped.
-        newest_swap: True if the last swap request was for `swap`, not the detector; may be set.
         shed: Scorers (`similarity`, `choice`) that get no questions under load; may be set.
     """
 
@@ -100,7 +99,6 @@ class Scorers:
                 view_of=lambda question: question.view,
             )  # fmt: skip
         self.paused = False
-        self.newest_swap = False
         self.swap: ChoiceSwap | None = None
         if make_other is not None and self._choice is not None:
             self.swap = ChoiceSwap(self._choice, make_other)
@@ -150,19 +148,23 @@ class Scorers:
                 if self._by_prior and prior is not None:
                     ratio = np.ones(len(marks), np.float32)
                     prior.likelihood_ratio(asked_target, xy_m.astype(np.float32), len(marks), ratio)
-                seen = objects_in_view(tracker, other_objects, observation)
+                objects = objects_in_view(tracker, other_objects, observation)
                 costs = mark_costs(c, frontiers, marks)
-                view = MarkedView(observation, asked_target, marks, seen, ratio, costs)
+                view = MarkedView(observation, asked_target, marks, objects, ratio, costs)
                 choice.submit(ChoiceQuestion(view, xy_m, profile))
 
     def on_detections(self, detections: Detections, values: ValueMap) -> None:
         """Use the running detector's scores as similarity, if so configured."""
         if self._from_detections is not None:
-            seen = detections.observation
+            observation = detections.observation
             self._detector = detections.model
             score = self._score_of(detections)
-            answer = ImageSimilarity(seen.stamp_ns, seen.pose, detections.prompts, score)
-            profile = values.range_profile(seen) if self.value_source == "similarity" else None
+            answer = ImageSimilarity(
+                observation.stamp_ns, observation.pose, detections.prompts, score
+            )
+            profile = (
+                values.range_profile(observation) if self.value_source == "similarity" else None
+            )
             self._set_similarity(answer, profile, values)
 
     def collect_answers(self, values: ValueMap, idle: bool = False) -> None:

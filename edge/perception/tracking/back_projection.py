@@ -95,7 +95,7 @@ class BackProjector:
             The targets' boxes, and the boxes of context words (None: the detector does not look for
             them). All are processed together, since one object may hide much of another.
         """
-        seen, context = detections.observation, detections.context_detections()
+        observation, context = detections.observation, detections.context_detections()
         k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
         if context is not None:
             # One array for all: the context's class numbers follow those of the targets.
@@ -108,17 +108,17 @@ class BackProjector:
             np.zeros(n, np.int32),
             np.zeros(n, np.bool_),
         )
-        if n and self._can_back_project(seen):
-            camera, by_cloud = seen.camera, self.config.back_projection == "cloud"
+        if n and self._can_back_project(observation):
+            camera, by_cloud = observation.camera, self.config.back_projection == "cloud"
             masks = _NO_MASKS if detections.mask is None else detections.mask
-            cell_px = self._project(seen, camera) if by_cloud else 0
+            cell_px = self._project(observation, camera) if by_cloud else 0
             view = (
-                _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
+                _NO_DEPTH if by_cloud else observation.depth_m, self._raster, self._cloud_points,
                 float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
             )  # fmt: skip
-            floor_z_m = float(seen.T_map_base[2, 3]) + floor_over_base_m + kernels.FLOOR_M
+            floor_z_m = float(observation.T_map_base[2, 3]) + floor_over_base_m + kernels.FLOOR_M
             kernels.back_project_boxes(
-                view, boxes, masks, word, seen.T_map_base @ seen.T_base_camera,
+                view, boxes, masks, word, observation.T_map_base @ observation.T_base_camera,
                 floor_z_m, self.config.back_projection_max_range_m,
                 self.config.back_projection_min_points, self._scratch, out,
             )  # fmt: skip
@@ -127,22 +127,23 @@ class BackProjector:
         )
         return BackProjectedBoxes(detections, *(array[:k] for array in out)), others
 
-    def _can_back_project(self, seen: Observation) -> bool:
+    def _can_back_project(self, observation: Observation) -> bool:
         """Return True if the observation can be back-projected; log the first that cannot."""
-        if missing := self._missing_input(seen):
+        if missing := self._missing_input(observation):
             self.skipped += 1
             if self.skipped == 1:
                 log.warning("observation %d: %s; its boxes get no position in the map (further "
-                            "ones are only counted)", seen.seq, missing)  # fmt: skip
+                            "ones are only counted)", observation.seq, missing)  # fmt: skip
         return not missing
 
-    def _missing_input(self, seen: Observation) -> str:
+    def _missing_input(self, observation: Observation) -> str:
         """Return the input that the observation lacks for back-projection, or ""."""
-        camera, depth = seen.camera, seen.depth_m
+        camera, depth = observation.camera, observation.depth_m
         if camera is None:
             return "no camera model"
         if self.config.back_projection == "cloud":
-            return "no cloud (perception.back_projection: cloud)" if seen.cloud_m is None else ""
+            missing = observation.cloud_m is None
+            return "no cloud (perception.back_projection: cloud)" if missing else ""
         if depth is None:
             return "no depth (perception.back_projection: depth)"
         if depth.shape != (camera.height_px, camera.width_px):
@@ -151,16 +152,16 @@ class BackProjector:
             )
         return ""
 
-    def _project(self, seen: Observation, camera: CameraModel) -> int:
+    def _project(self, observation: Observation, camera: CameraModel) -> int:
         """Project the cloud into the raster; return the side of a raster cell in pixels."""
         cell_px = max(1, -(-camera.width_px // _RASTER_COLUMNS))  # -(-a // b): a / b rounded up
         shape = (-(-camera.height_px // cell_px), -(-camera.width_px // cell_px))
         if self._raster.shape != shape:
             self._raster = np.empty(shape, np.int32)
-        if len(self._cloud_points) < len(seen.cloud_m):
-            self._cloud_points = np.empty((len(seen.cloud_m), 3), np.float32)
+        if len(self._cloud_points) < len(observation.cloud_m):
+            self._cloud_points = np.empty((len(observation.cloud_m), 3), np.float32)
         cloud_raster(
-            seen.cloud_m, invert(seen.T_base_camera) @ seen.T_base_lidar,
+            observation.cloud_m, invert(observation.T_base_camera) @ observation.T_base_lidar,
             camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, float(cell_px),
             self._raster, self._cloud_points,
         )  # fmt: skip

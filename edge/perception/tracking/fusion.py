@@ -80,48 +80,60 @@ class InstanceFusion:
 
     def update(self, boxes: BackProjectedBoxes, stamp_ns: int) -> None:
         """Merge the detections of one image, strongest first."""
-        c, tracker, seen = self._tracker.config, self._tracker, boxes.detections
-        name_of_class = [names.canonical(prompt) for prompt in seen.prompts]
-        unsuppressed = seen.not_suppressed()
+        c, tracker, detections = self._tracker.config, self._tracker, boxes.detections
+        name_of_class = [names.canonical(prompt) for prompt in detections.prompts]
+        unsuppressed, competing = detections.not_suppressed(), detections.competing_score
         hit: dict[int, int] = {}  # instances with a strong detection in this image: their box
         for i in np.flatnonzero(boxes.valid).tolist():
-            class_id, score = int(seen.class_id[i]), float(seen.score[i])
+            class_id, score = int(detections.class_id[i]), float(detections.score[i])
             strong = score > c.tau_det and bool(unsuppressed[i])
             points = boxes.surface_m(i)
-            x_m, y_m, _ = boxes.center_m[i].tolist()
-            name = name_of_class[class_id]
-            track = tracker.match(name, x_m, y_m)
-            first = None if track is None else hit.get(track.instance.id)
-            is_rejected = track is not None and track.instance.state == "rejected"
-            if first is not None and strong and not is_rejected and _are_apart(boxes, i, first):
-                track = tracker.match(name, x_m, y_m, excluded=hit)
+            track = self._match(boxes, i, name_of_class[class_id], hit if strong else {})
             if track is None:
                 if not strong:
                     continue
-                track = tracker.create(seen.prompts[class_id], points, score, stamp_ns)
+                track = tracker.create(detections.prompts[class_id], points, score, stamp_ns)
             elif track.instance.id in hit:  # a second box of one object: only its points count
                 if strong:
                     track.grow(points, c.voxel_m)
                 continue
             elif unsuppressed[i]:
                 track.merge(points, score, stamp_ns, c)
-            track.evidence_ns = max(track.evidence_ns, stamp_ns)
-            if score > track.now_target:
-                track.now_target = score
-                track.now_competing = (
-                    0.0 if seen.competing_score is None else float(seen.competing_score[i])
-                )
+            track.note_scores(score, 0.0 if competing is None else float(competing[i]), stamp_ns)
             if strong:
                 hit[track.instance.id] = i
-                self._count_good_hit(track, points, score, seen.observation, stamp_ns)
+                self._count_good_hit(track, points, score, detections.observation, stamp_ns)
         self._note_gaps(hit, boxes)
         for instance_id in hit:
             self._merge_overlapping(instance_id)
         tracker.limit()
 
+    def _match(
+        self, boxes: BackProjectedBoxes, i: int, name: str, hit: Mapping[int, int]
+    ) -> InstanceTrack | None:
+        """Return the instance that a box belongs to, or None.
+
+        Args:
+            boxes: boxes of the image.
+            i: the box.
+            name: canonical name of its class.
+            hit: instances that have a box of this image already. If there is a gap between that
+                box and this one, this one belongs to another instance.
+        """
+        x_m, y_m, _ = boxes.center_m[i].tolist()
+        track = self._tracker.match(name, x_m, y_m)
+        if track is None or track.instance.state == "rejected":
+            return track
+        first = hit.get(track.instance.id)
+        if first is None or not _are_apart(boxes, i, first):
+            return track
+        return self._tracker.match(name, x_m, y_m, excluded=hit)
+
     def _note_gaps(self, hit: Mapping[int, int], boxes: BackProjectedBoxes) -> None:
         """Note the pairs of objects between whose boxes an image shows a gap."""
         tracks = self._tracker.tracks
+        for pair in [pair for pair in self._seen_apart if not tracks.keys() >= {*pair}]:
+            del self._seen_apart[pair]
         left = [tracks[i] for i in hit if i in tracks]  # others were rejected
         for track, other in combinations(left, 2):
             one, two = track.instance, other.instance
@@ -153,7 +165,6 @@ class InstanceFusion:
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
         # Farther than this, a missing detection is no evidence.
         far_m = min(1.5 * c.confirm_range_m, c.back_projection_max_range_m)
-        pose = observation.pose
         asked = {names.canonical(prompt) for prompt in prompts}
         gone = []
         for track in list(tracks.values()):
@@ -166,17 +177,10 @@ class InstanceFusion:
             )
             if shown == HIDDEN and track.evidence_ns >= observation.stamp_ns:
                 shown = IN_PART  # it was detected, so only its centre is hidden
-            if shown == HIDDEN:
-                track.now_target = track.now_competing = 0.0
-                continue
-            self._update_contested(track)
-            near_m = near_range_m(c.confirm_range_m, track.z_m, observation) + track.radius_m
-            if track.distance_m(pose.x_m, pose.y_m) <= near_m:
-                # A partial view is weaker evidence, for and against.
-                track.count_view(1.0 if shown == WHOLE else PARTIAL)
-                self._update_state(track)
+            if shown != HIDDEN:
+                self._count_view(track, shown, observation)
             track.now_target = track.now_competing = 0.0
-            if shown == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
+            if shown in (HIDDEN, AT_EDGE) or track.evidence_ns >= observation.stamp_ns:
                 continue
             instance.score *= DECAY
             # A few misses do not undo a confirmation: the object may be hidden, or too near.
@@ -185,6 +189,16 @@ class InstanceFusion:
         for instance_id in gone:
             tracks.pop(instance_id, None)
         return gone
+
+    def _count_view(self, track: InstanceTrack, shown: int, observation: Observation) -> None:
+        """Count a view that should show the instance, if it is from near by."""
+        self._update_contested(track)
+        pose, c = observation.pose, self._tracker.config
+        near_m = near_range_m(c.confirm_range_m, track.z_m, observation) + track.radius_m
+        if track.distance_m(pose.x_m, pose.y_m) <= near_m:
+            # A partial view is weaker evidence, for and against.
+            track.count_view(1.0 if shown == WHOLE else PARTIAL)
+            self._update_state(track)
 
     def promote_context(self, labels: Sequence[str]) -> None:
         """Make instances from the objects of the map that these labels name, with their evidence.
@@ -198,15 +212,15 @@ class InstanceFusion:
         least = FORGET_SHARE * c.tau_det
         for label in labels:
             name = names.canonical(label)
-            for seen in self._objects.named(label):
-                known = tracker.match(name, *seen.center_m[:2].tolist())
-                is_doubtful = seen.confidence < least or seen.hits < c.min_hits
+            for obj in self._objects.named(label):
+                known = tracker.match(name, *obj.center_m[:2].tolist())
+                is_doubtful = obj.confidence < least or obj.hits < c.min_hits
                 if is_doubtful or known is not None:
                     continue
-                track = tracker.create(label, seen.points_m, seen.confidence, seen.last_seen_ns)
-                track.instance.hits = seen.hits
-                track.good_hits = track.other_hits = seen.near_hits
-                track.views, track.target_sum = seen.weight, seen.total
+                track = tracker.create(label, obj.points_m, obj.confidence, obj.last_seen_ns)
+                track.instance.hits = obj.hits
+                track.good_hits = track.other_hits = obj.near_hits
+                track.views, track.target_sum = obj.weight, obj.total
                 self._update_contested(track)
                 self._update_state(track)
         tracker.limit()

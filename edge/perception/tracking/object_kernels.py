@@ -169,11 +169,11 @@ def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_
     with the square of the distance, as does the share of the image that the object fills. From
     `far_m` on it is 0. See `look_kernels.visibility` for the other arguments.
     """
-    seen = visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
-    if seen == HIDDEN:
+    shown = visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
+    if shown == HIDDEN:
         return 0.0
     share = min(1.0, (near_m / ahead_m(T_camera_map, x, y, z)) ** 2)
-    return share if seen == WHOLE else PARTIAL * share
+    return share if shown == WHOLE else PARTIAL * share
 
 
 @jit

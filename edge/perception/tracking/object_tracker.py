@@ -283,10 +283,10 @@ class ObjectTracker:
         self, boxes: BackProjectedBoxes, word_of_class: np.ndarray, observation: Observation
     ) -> None:
         """Merge the boxes of one image; they come strongest first."""
-        seen, s, e, c = boxes.detections, self._objects, self._evidence, self.config
+        detections, s, e, c = boxes.detections, self._objects, self._evidence, self.config
         pose = observation.pose
         for i in np.flatnonzero(boxes.valid).tolist():
-            score, word = float(seen.score[i]), int(word_of_class[seen.class_id[i]])
+            score, word = float(detections.score[i]), int(word_of_class[detections.class_id[i]])
             x_m, y_m, z_m = boxes.center_m[i].tolist()
             at = self._match(word, x_m, y_m, c.merge_m)
             strong = score > c.tau_det
@@ -309,7 +309,7 @@ class ObjectTracker:
                 min(int(s.hits[at]), _MOST_VIEWS), c.voxel_m,
             )  # fmt: skip
             self._farthest_m = max(self._farthest_m, reach_m)
-            self.observed.append(ObservedObject(int(s.id[at]), seen.xyxy_px[i], score))
+            self.observed.append(ObservedObject(int(s.id[at]), detections.xyxy_px[i], score))
             if s.hits[at] == c.min_hits:
                 self.moved.appear(at)
 

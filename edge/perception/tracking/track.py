@@ -144,6 +144,12 @@ class InstanceTrack:
         self.other_hits += self.is_other_viewpoint(pose)
         return True
 
+    def note_scores(self, target: float, competing: float, stamp_ns: int) -> None:
+        """Note the scores of a box; of several in one frame, the best target counts."""
+        self.evidence_ns = max(self.evidence_ns, stamp_ns)
+        if target > self.now_target:
+            self.now_target, self.now_competing = target, competing
+
     def count_view(self, weight: float) -> None:
         """Add the scores of the current frame to the evidence, with a weight of up to 1."""
         self.views += weight
