@@ -76,7 +76,7 @@ def test_a_moved_object_keeps_its_new_picture(store):
     assert color_of(store.get(1)) == pytest.approx(BLUE, abs=12)
 
 
-def test_of_two_pictures_of_an_object_the_better_one_stays(store):
+def test_the_better_of_two_pictures_of_an_object_stays(store):
     store.observe([seen(1)], image())
     store.observe([seen(9, 0.1, (50, 50, 80, 70))], image(BLUE))
     store.rename({9: 1})

@@ -310,18 +310,23 @@ class ObjectMap:
         return obj.points_m[agreed] if enough else obj.points_m
 
     def _unite(self, changed: MapObject) -> MapObject:
-        """Merge an object that has grown with those that it touches now; the oldest one stays."""
-        same = [o for o in self.objects.values() if o is changed or _likeness(changed, o)]
-        first = min(same, key=lambda obj: obj.id)
-        for other in same:
-            if other is not first:
-                _absorb(first, other)
-                del self.objects[other.id]
-                for obj in self.objects.values():
-                    if other.id in obj.seen_with:
-                        obj.seen_with = obj.seen_with - {other.id} | {first.id}
-        first.seen_with.discard(first.id)
-        return first
+        """Merge an object that has grown with those that it touches now; the oldest one stays.
+
+        The most alike comes first: what it was seen with is then seen with the merged object.
+        """
+        while True:
+            others = [o for o in self.objects.values() if o is not changed]
+            likeness = [_likeness(changed, o) for o in others]
+            if not any(likeness):
+                return changed
+            pair = changed, others[int(np.argmax(likeness))]
+            changed, other = sorted(pair, key=lambda obj: obj.id)
+            _absorb(changed, other)
+            del self.objects[other.id]
+            for obj in self.objects.values():
+                if other.id in obj.seen_with:
+                    obj.seen_with = obj.seen_with - {other.id} | {changed.id}
+            changed.seen_with.discard(changed.id)
 
 
 def _voxels(points_m: np.ndarray) -> np.ndarray:
