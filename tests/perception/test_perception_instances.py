@@ -106,6 +106,29 @@ def test_two_boxes_that_touch_are_one_object(scene):
     assert [one.apart for one in s.tracker.all] == [set()]
 
 
+def test_a_gap_to_an_object_is_kept_when_that_merges(scene):
+    s = scene(merge_m=0.6)
+    for x_m in (0.0, 0.25, 0.5):
+        points_m = np.float32([[x_m, 0.0, 0.0], [x_m, 0.05, 0.0]])
+        s.tracker.create("chair", points_m, 0.9, 0)
+    one, two, three = s.tracker.all
+    two.apart, three.apart = frozenset({3}), frozenset({2})
+    for number in (2, 3):
+        s.fusion._merge_overlapping(number)
+    assert s.tracker.all == [one, three]
+    assert (one.apart, three.apart) == ({3}, {1})
+
+
+def test_an_instance_that_its_last_view_rejects_is_not_forgotten(scene):
+    s = scene()
+    s.see(("chair", 2, 0, 0.9))
+    (track,) = s.tracker.tracks.values()
+    track.views, track.target_sum, track.competing_sum = 29.5, 5.0, 9.0
+    track.instance.score = 0.155  # one view without a box more, and it would be forgotten
+    s.expire(s.frame())
+    assert [one.state for one in s.tracker.all] == ["rejected"]
+
+
 def test_objects_that_are_apart_are_never_merged(scene):
     s = scene(merge_m=1.0)
     for _ in range(3):

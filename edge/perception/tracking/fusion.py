@@ -38,7 +38,7 @@ from edge.perception.tracking.look_kernels import (
 from edge.perception.tracking.object_kernels import PARTIAL
 from edge.perception.tracking.object_tracker import ObjectTracker
 from edge.perception.tracking.track import InstanceTrack
-from edge.types import Observation
+from edge.types import Instance, Observation
 
 APART_M = 0.1
 """Two boxes of a name in one image are of two objects if there is such a gap between them."""
@@ -182,6 +182,8 @@ class InstanceFusion:
             track.now_target = track.now_competing = 0.0
             if shown in (HIDDEN, AT_EDGE) or track.evidence_ns >= observation.stamp_ns:
                 continue
+            if instance.state == "rejected":  # by this view; it stays, so that none starts there
+                continue
             instance.score *= DECAY
             # A few misses do not undo a confirmation: the object may be hidden, or too near.
             if instance.score < FORGET_SHARE * c.tau_det and not instance.is_confirmed:
@@ -304,7 +306,16 @@ class InstanceFusion:
             old.absorb(new)
             self._update_state(old)
             old.grow(new.instance.points_m, c.voxel_m)
+            self._keep_gaps(old.instance, new.instance)
             track = old
+
+    def _keep_gaps(self, old: Instance, new: Instance) -> None:
+        """Keep what is apart from an instance that was merged into another one."""
+        old.apart |= new.apart
+        for track in self._tracker.tracks.values():
+            apart = track.instance.apart
+            if new.id in apart and track.instance is not old:
+                track.instance.apart = apart - {new.id} | {old.id}
 
 
 def _are_apart(boxes: BackProjectedBoxes, i: int, j: int) -> bool:
