@@ -10,6 +10,7 @@ import os
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -156,8 +157,9 @@ class RollingRecorder:
 
     def _close_failed(self, error: OSError) -> None:
         """Close the file as it is; it can be read up to its end."""
-        self._file.abandon()
-        self._file = None
+        file, self._file = self._file, None
+        with suppress(OSError):  # of an error that the caller has caught already
+            file.abandon()
         self.messages -= self._unsynced
         self.lost += self._unsynced
         self._unsynced = 0

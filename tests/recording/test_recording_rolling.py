@@ -10,7 +10,7 @@ import pytest
 
 from edge.bus import topics
 from edge.recording.channels import topic_channel
-from edge.recording.file import PARTIAL, McapReader
+from edge.recording.file import PARTIAL, McapReader, _UnbufferedFile
 from edge.recording.rolling import RecordingLimits, RollingRecorder, files_of
 
 STATUS = topic_channel(topics.STATUS)
@@ -114,6 +114,29 @@ def test_a_write_error_is_logged_once_and_recording_continues_later(tmp_path, cl
     assert len(said) == 2
     assert said[0].endswith("cannot record: File exists; trying again every few seconds")
     assert said[1].endswith("; 6 messages were lost")
+    files.close()
+
+
+@pytest.mark.parametrize("step", ["write", "fsync", "close", "replace"])
+def test_recording_goes_on_after_an_error_at_the_end_of_a_file(tmp_path, clock, monkeypatch, step):
+    files = rolling(tmp_path, clock, max_s=10.0)
+    put(files, 2)
+    clock.s += 11.0
+
+    def fail(*_):
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        owner, name = {
+            "write": (_UnbufferedFile, "write"), "fsync": (_UnbufferedFile, "sync"),
+            "close": (os, "close"), "replace": (os, "replace"),
+        }[step]  # fmt: skip
+        patch.setattr(owner, name, fail)
+        files.ready()
+    assert (files.name, files.problem) == ("", "Input/output error")
+    clock.s += 6.0
+    put(files, 3)
+    assert (files.messages, files.lost, files.problem) == (3, 2, "")
     files.close()
 
 
