@@ -298,7 +298,9 @@ def _bus_messages(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]
         info = messages.encode_camera_info(image.stamp_ns, _FRAME_ID, header.camera)
         yield topic_channel(topics.CAMERA_INFO), info
     shape, is_depth = (image.height, image.width), topic == topics.DEPTH.key
-    out = np.empty(shape if is_depth else (*shape, 3), np.float32 if is_depth else np.uint8)
+    # Depth in the unit of the camera: `source.depth_unit_m` is applied when it is replayed.
+    dtype = (np.uint16 if image.encoding == "16UC1" else np.float32) if is_depth else np.uint8
+    out = np.empty(shape if is_depth else (*shape, 3), dtype)
     images.decode_image_into(pixels, image, out)
     yield (
         topic_channel(topics.DEPTH if is_depth else topics.RGB),
