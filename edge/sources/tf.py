@@ -191,9 +191,7 @@ class RobotFrames:
         """
         transforms, faults = decode_transforms(payload)
         faults += [
-            f"from '{t.child}' to '{t.parent}'"
-            for t in transforms
-            if not self._tf.offer(t, static)
+            f"from '{t.child}' to '{t.parent}'" for t in transforms if not self._tf.offer(t, static)
         ]
         return f"{len(faults)} transforms, the first {faults[0]}" if faults else ""
 

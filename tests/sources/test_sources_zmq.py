@@ -186,6 +186,25 @@ def test_an_oversized_message_is_refused_and_logged_once(caplog):
     assert sum("the camera disconnected" in m for m in caplog.messages) == 1
 
 
+def test_recording_goes_on_after_an_oversized_message():
+    where = address()
+    tap = ZmqTap(configured(where))
+    with camera_at(where) as send:
+
+        def taken(size: int) -> int:
+            send({**RGB, "height": size // 96}, bytes(size))
+            time.sleep(0.05)
+            return len(list(tap.take()))
+
+        eventually(lambda: taken(1536))
+        for _ in range(3):
+            taken(1_056_000)
+        time.sleep(0.1)
+        assert taken(1_056_000) == 0
+        eventually(lambda: taken(1536), "not found again")
+    tap.close()
+
+
 @pytest.mark.parametrize(
     ("encoding", "pixels"),
     [("16UC1", np.array([[2000, 65535]], "<u2")), ("32FC1", np.array([[2.0, np.nan]], "<f4"))],
