@@ -88,7 +88,10 @@ class Ros2Sink:
         if refined is not self._trajectory:
             self._trajectory = refined
             self._worker.submit(("trajectory", (now_ns, refined)), key="trajectory")
-        if "detections" in self._publishers and (found := result.detections) is not None:
+        found = result.detections
+        # `detections_frame` is that of the first camera.
+        is_first_camera = found is not None and found.observation.camera_index == 0
+        if "detections" in self._publishers and is_first_camera:
             names = [found.prompts[i] for i in found.class_id]
             boxes = found.observation.stamp_ns, names, found.score, found.xyxy_px
             self._worker.submit(("detections", boxes), key="detections")

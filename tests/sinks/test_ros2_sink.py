@@ -496,6 +496,8 @@ def test_subscribers_get_boxes_and_objects(make, theirs):
     seen = Observation(seq=0, stamp_ns=77, T_map_base=np.eye(4))
     two, one = np.array([[0, 0, 20, 10], [5, 5, 9, 9]], np.float32), np.ones(2, np.float32)
     found = Detections(seen, two, one, np.array([1, 0], np.int32), ("chair", "bed"))
+    behind = Observation(seq=1, stamp_ns=78, T_map_base=np.eye(4), camera_index=1)
+    of_second_camera = Detections(behind, two, one, np.array([0, 0], np.int32), ("chair",))
     points = np.array([[1, 2, 0], [2, 2, 1]], np.float32)
     of = partial(Instance, points_m=points, score=0.5, hits=3, first_seen_ns=0, last_seen_ns=0)
     bed, rejected = of(4, "bed", points[0]), of(5, "bed", points[0], state="rejected")
@@ -505,6 +507,7 @@ def test_subscribers_get_boxes_and_objects(make, theirs):
     def heard(subscription):
         sink.tick(result(next(ticks) * 10**9, detections=found,
                          instances=lambda: [bed, rejected], objects=lambda: [mug]))  # fmt: skip
+        sink.tick(result(next(ticks) * 10**9, detections=of_second_camera))
         return subscription.take()
 
     type_name, payload = eventually(lambda: heard(boxes))[0]
