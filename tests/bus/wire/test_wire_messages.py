@@ -118,6 +118,12 @@ def ros_image(encoding: str, height: int, width: int, step: int, data: bytes, bi
         ("rgba8", b"\x01\x02\x03\xff\x04\x05\x06\xff", [[1, 2, 3], [4, 5, 6]]),
         ("bgra8", b"\x01\x02\x03\xff\x04\x05\x06\xff", [[3, 2, 1], [6, 5, 4]]),
         ("mono8", b"\x07\x09", [[7, 7, 7], [9, 9, 9]]),
+        ("8UC3", b"\x01\x02\x03\x04\x05\x06", [[3, 2, 1], [6, 5, 4]]),
+        ("8UC1", b"\x07\x09", [[7, 7, 7], [9, 9, 9]]),
+        ("yuv422", bytes((90, 81, 240, 81)), [[254, 0, 0], [254, 0, 0]]),
+        ("uyvy", bytes((90, 81, 240, 81)), [[254, 0, 0], [254, 0, 0]]),
+        ("yuv422_yuy2", bytes((81, 90, 81, 240)), [[254, 0, 0], [254, 0, 0]]),
+        ("yuyv", bytes((81, 90, 81, 240)), [[254, 0, 0], [254, 0, 0]]),
     ],
 )
 @pytest.mark.parametrize("padding", [0, 1, 5])
@@ -127,6 +133,20 @@ def test_every_colour_encoding_becomes_rgb(encoding, pixels, rgb, padding):
     header, out = decode_image(payload)
     assert (header.stamp_ns, header.frame_id) == (5_000_000_006, "camera")
     assert out.tolist() == [rgb, rgb]
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_a_bayer_pattern_becomes_rgb(pattern):
+    colour = {"r": 200, "g": 100, "b": 50}
+    square = np.array([colour[c] for c in pattern], np.uint8).reshape(2, 2)
+    payload = ros_image(f"bayer_{pattern}8", 6, 8, 8, np.tile(square, (3, 4)).tobytes())
+    _, out = decode_image(payload)
+    assert (out == (200, 100, 50)).all()
+
+
+def test_an_odd_number_of_pixels_has_no_pairs():
+    with pytest.raises(DecodeError, match="width must be even"):
+        messages.decode_image_header(ros_image("yuyv", 1, 3, 6, bytes(6)))
 
 
 @pytest.mark.parametrize("big_endian", [0, 1])
