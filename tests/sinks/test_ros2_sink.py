@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import threading
 from functools import partial
 from types import SimpleNamespace
 
@@ -281,6 +282,27 @@ def test_a_stop_cancels_its_goal_and_all_of_others_once(make, nav2):
     for _ in range(3):
         sink.tick(result(stopped="button"))
     assert eventually(lambda: len(nav2.cancelled) >= 2 and nav2.cancelled) == [goal_id, bytes(16)]
+
+
+def test_goals_and_stops_that_wait_keep_their_order(make, monkeypatch):
+    entered, go_on, delivered = threading.Event(), threading.Event(), []
+
+    def deliver(self, message):
+        entered.set()
+        assert go_on.wait(PATIENCE_S)
+        delivered.append((message[0], message[1] and message[1].stamp_ns))
+
+    monkeypatch.setattr(Ros2Sink, "_deliver", deliver)
+    sink = make()
+    sink._limiter = SimpleNamespace(take_turn=lambda *_: False)
+    sink.tick(driving(1))
+    assert entered.wait(PATIENCE_S)
+    sink.tick(driving(2))
+    sink.tick(result(stopped="button"))
+    sink.tick(driving(3))
+    go_on.set()
+    eventually(lambda: ("goal", 3) in delivered)
+    assert delivered == [("goal", 1), ("goal", 2), ("goal", None), ("stop", None), ("goal", 3)]
 
 
 def test_a_start_while_stopped_cancels_leftover_goals(make, nav2):
