@@ -20,6 +20,7 @@ import zenoh
 from edge.bus.request_queue import MAX_BYTES, PATIENCE_S, RequestQueue
 from edge.bus.session import QueryRing
 from edge.bus.verbs import Request, Verb, error_payload
+from edge.text import one_line
 
 log = logging.getLogger("edge.bus.requests")
 
@@ -111,11 +112,12 @@ class RequestServer:
         """Pass a query to the queue, or refuse it."""
         reply = partial(self._reply, query)
         try:
-            payload = _payload(query)
+            self.queue.accept(_payload(query), reply)
         except ValueError as error:
             reply(error_payload(str(error)), True)
-        else:
-            self.queue.accept(payload, reply)
+        except Exception as error:  # nothing may end this thread
+            log.exception("a request was refused because of an internal error")
+            reply(error_payload(f"internal error: {type(error).__name__}"), True)
 
     def _reply(self, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
         self._replies.put((query, reply, is_error))
@@ -134,7 +136,7 @@ class RequestServer:
                     asked.reply_err(reply, encoding=zenoh.Encoding.APPLICATION_JSON)
                 else:
                     asked.reply(self.key, reply, encoding=zenoh.Encoding.APPLICATION_JSON)
-        except zenoh.ZError as error:
+        except Exception as error:  # nothing may end this thread
             log.warning("the answer to a request could not be sent: %s", _reason(error))
 
 
@@ -148,6 +150,6 @@ def _payload(query: zenoh.Query) -> bytes:
     return payload.to_bytes()
 
 
-def _reason(error: zenoh.ZError) -> str:
-    """Return Zenoh's error text without the location in its source."""
-    return str(error).split(" at /")[0]
+def _reason(error: Exception) -> str:
+    """Return an error's text, without the location in Zenoh's source."""
+    return one_line(str(error).split(" at /")[0])

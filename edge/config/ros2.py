@@ -84,8 +84,8 @@ class Ros2Config(Section):
             stops there.
         keepout_filter: publish the zones for Nav2's KeepoutFilter, as `keepout_info` and
             `keepout_mask`; nav2_msgs must be installed.
-        detections_frame: tf frame of the images. If set, boxes and objects are published as
-            `detections` and `objects`; vision_msgs must be installed.
+        detections_frame: tf frame of the first camera's images. If set, its boxes, and objects, are
+            published as `detections` and `objects`; vision_msgs must be installed.
         requests: take requests from the topic `request`, and answer on `answer`. Every node of the
             graph may then give orders.
         docks: names of places and the ids of their docks in Nav2's docking server: `{dock: bay_1}`.

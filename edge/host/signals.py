@@ -16,6 +16,7 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 log = logging.getLogger("edge")
 
@@ -65,7 +66,9 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
         if n_signals == 1:
             log.info("%s: stopping", signal.Signals(signum).name)
         stop.set()
-        _wake_main_thread(lambda: len(handled) >= n_signals)
+        # On its own thread: a main thread that hangs must not block the actions of other signals.
+        wake = partial(_wake_main_thread, lambda: len(handled) >= n_signals)
+        threading.Thread(target=wake, name="wake", daemon=True).start()
 
     signal.signal(_WAKE, lambda signum, frame: None)
     _add_actions(dict.fromkeys(STOP, stop_now))

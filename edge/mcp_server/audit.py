@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,16 @@ from edge.text import one_line
 
 MAX_CHARS = 500
 """Longest text of arguments or outcome in the log, in characters."""
+MOST_BYTES = 16_000_000
+"""Size of the log at which it is renamed to `NAME.1`, and a new one begins."""
+_REFUSED_S = 60.0  # time between two lines of refused calls
 
 
 class AuditLog:
     """A file of JSON lines that is only appended to.
 
     Each call has two lines with the same `call`: one before it is carried out, one with its
-    outcome.
+    outcome. Of the calls over the limit, only the first of each minute has a line.
 
     Raises:
         FileError: the file cannot be written.
@@ -28,10 +33,10 @@ class AuditLog:
 
     def __init__(self, path: Path, who: str) -> None:
         self.path, self._who, self._calls = path, one_line(who, 100), 0
+        self._refused, self._refused_s = 0, -math.inf  # refused calls since the last line; its time
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
-            self._handle = os.open(path, flags, 0o600)
+            self._handle = self._open()
         except OSError as error:
             raise FileError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -54,15 +59,43 @@ class AuditLog:
         """
         self._write(call=call, outcome=one_line(outcome, MAX_CHARS))
 
+    def refuse(self, tool: str, now_s: float) -> None:
+        """Count a call over the limit, and write the first of each minute.
+
+        Raises:
+            FileError: the file cannot be written.
+        """
+        self._refused += 1
+        if now_s - self._refused_s >= _REFUSED_S:
+            self._write(tool=one_line(tool, 100), outcome="refused: too many calls a minute",
+                        refused=self._refused)  # fmt: skip
+            self._refused, self._refused_s = 0, now_s
+
     def close(self) -> None:
         os.close(self._handle)
 
     def _write(self, **fields: Any) -> None:
         entry = {"unix_s": round(time.time(), 3), "pid": os.getpid(), "agent": self._who, **fields}
         try:
+            self._rotate()
             os.write(self._handle, json.dumps(entry).encode() + b"\n")
         except OSError as error:
             raise FileError(f"{self.path}: cannot be written: {error.strerror}") from None
+
+    def _open(self) -> int:
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+        return os.open(self.path, flags, 0o600)
+
+    def _rotate(self) -> None:
+        """Begin a new file if this one is full; another process may have done so."""
+        present = os.fstat(self._handle)
+        if present.st_size < MOST_BYTES:
+            return
+        with suppress(FileNotFoundError):
+            if os.path.samestat(present, os.stat(self.path)):
+                os.replace(self.path, f"{self.path}.1")
+        full, self._handle = self._handle, self._open()
+        os.close(full)
 
 
 class CallLimit:

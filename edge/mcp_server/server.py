@@ -92,6 +92,11 @@ class AgentServer(MCPServer):
         error_type: type[Exception],
         act: Callable[[], Awaitable[Any]],
     ) -> Any:
+        now_s = time.monotonic()
+        if not self._limit.take(now_s) and not always:
+            with suppress(FileError):
+                self._audit.refuse(name, now_s)
+            raise error_type("refused: too many calls a minute; wait")
         call, outcome = 0, "refused"
         try:
             try:
@@ -99,8 +104,6 @@ class AgentServer(MCPServer):
             except FileError as error:
                 if not always:
                     raise error_type(f"refused: the log of calls: {error}") from None
-            if not self._limit.take(time.monotonic()) and not always:
-                raise error_type("refused: too many calls a minute; wait")
             try:
                 answer = await act()
             except UserError as error:

@@ -6,10 +6,10 @@ For one thread, which may wait for the disk. While the disk is full, messages ar
 from __future__ import annotations
 
 import logging
-import os
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -24,6 +24,7 @@ PREFIX = "edge-"
 AGAIN_S = 5.0
 """Time in seconds until recording is tried again after an error."""
 _MB = 1_000_000
+_TIME = "%Y%m%dT%H%M%S.%f"
 # Such as `edge-20260131T123456.789Z.mcap`, or the same with `.partial`.
 _NAME = re.compile(rf"{PREFIX}\d{{8}}T\d{{6}}\.\d{{3}}Z\.mcap({re.escape(PARTIAL)})?", re.ASCII)
 
@@ -130,10 +131,10 @@ class RollingRecorder:
 
     def _begin(self, now_s: float) -> None:
         """Open the next file; if that fails, report it and try again later."""
-        path = _free_name(self._folder)
-        file = McapWriter(path, self._compression, self._metadata(self._n_files))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
+            path = _free_name(self._folder)
+            file = McapWriter(path, self._compression, self._metadata(self._n_files))
             # Leave room for the file that now begins.
             make_room(self._folder, int((self._limits.keep_mb - self._limits.max_mb) * _MB))
             file.open()
@@ -156,8 +157,9 @@ class RollingRecorder:
 
     def _close_failed(self, error: OSError) -> None:
         """Close the file as it is; it can be read up to its end."""
-        self._file.abandon()
-        self._file = None
+        file, self._file = self._file, None
+        with suppress(OSError):  # of an error that the caller has caught already
+            file.abandon()
         self.messages -= self._unsynced
         self.lost += self._unsynced
         self._unsynced = 0
@@ -173,10 +175,19 @@ class RollingRecorder:
 
 
 def _free_name(folder: Path) -> Path:
-    """Return a file name of the current time, moved by milliseconds until it is free."""
+    """Return a file name of the current time, or later: after all names of the folder.
+
+    The oldest name is deleted first, and the clock may be wrong: a computer without a battery
+    begins in 1970.
+    """
     now = datetime.now(timezone.utc)
+    for path in reversed(files_of(folder)):
+        with suppress(ValueError, OverflowError):  # no date, or the last one
+            newest = datetime.strptime(path.name[len(PREFIX) :].split("Z")[0], _TIME)
+            now = max(now, newest.replace(tzinfo=timezone.utc) + timedelta(milliseconds=1))
+            break
     while True:
-        path = folder / f"{PREFIX}{now.strftime('%Y%m%dT%H%M%S.%f')[:-3]}Z.mcap"
+        path = folder / f"{PREFIX}{now.strftime(_TIME)[:-3]}Z.mcap"
         if not (path.exists() or path.with_name(path.name + PARTIAL).exists()):
             return path
         now += timedelta(milliseconds=1)
@@ -196,7 +207,10 @@ def make_room(folder: Path, most_bytes: int) -> None:
 
     Files that are being written stay.
     """
-    files = [(path, path.stat().st_size) for path in files_of(folder)]
+    files = []
+    for path in files_of(folder):
+        with suppress(FileNotFoundError):  # deleted by another process
+            files.append((path, path.stat().st_size))
     total = sum(size for _, size in files)
     for path, size in files:
         if total <= most_bytes:
@@ -206,5 +220,5 @@ def make_room(folder: Path, most_bytes: int) -> None:
                 continue
         except RecordingError:  # deleted by another process, or no file
             continue
-        os.unlink(path)
+        path.unlink(missing_ok=True)
         total -= size

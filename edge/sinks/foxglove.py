@@ -7,6 +7,7 @@ everyone who reaches the port sees what the robot sees.
 from __future__ import annotations
 
 import logging
+import threading
 from typing import Any
 
 from edge.config import Config
@@ -22,6 +23,7 @@ from edge.text import one_line
 log = logging.getLogger("edge.sinks.foxglove")
 
 _CLOSE_S = 1.0  # longest time to send what is pending at the end
+_MOST_PENDING_BYTES = 64_000_000  # of arrays that wait; beyond, ticks come without arrays
 _BACKLOG = 256  # messages queued for a client; the oldest are dropped
 
 
@@ -69,7 +71,11 @@ class FoxgloveSink:
             log.warning("sinks: foxglove: everyone who can connect to %s port %d sees what the "
                         "robot sees", host, self.port)  # fmt: skip
         self._encoder = ResultEncoder(config, rgb_hz, self._is_subscribed)
-        self._worker: Worker[ResultSnapshot, None] = Worker("foxglove-sink", self._send)
+        self._pending_bytes = 0  # of the arrays that wait
+        self._lock = threading.Lock()  # for pending bytes
+        self._worker: Worker[tuple[ResultSnapshot, int], None] = Worker(
+            "foxglove-sink", self._send, drop=lambda item: self._release(item[1])
+        )
 
     @staticmethod
     def check_options(host: str = "127.0.0.1", port: int = 8765, rgb_hz: float = 10.0) -> None:
@@ -82,9 +88,12 @@ class FoxgloveSink:
 
     def tick(self, result: TickResult) -> None:
         """Copy the subscribed data; see `edge.loop.result.Sink`."""
-        snapshot = self._encoder.capture(result)
+        snapshot = self._encoder.capture(result, arrays=self._pending_bytes < _MOST_PENDING_BYTES)
         if snapshot.messages:
-            self._worker.enqueue(snapshot)
+            size = snapshot.bytes
+            with self._lock:
+                self._pending_bytes += size
+            self._worker.enqueue((snapshot, size))
 
     def status(self) -> dict[str, Any]:
         """Return port and worker statistics; see `edge.loop.result.Sink`."""
@@ -98,10 +107,19 @@ class FoxgloveSink:
     def _is_subscribed(self, channel: Channel) -> bool:
         return bool(self._channels[channel].has_sinks())  # the SDK's sinks are its clients
 
-    def _send(self, snapshot: ResultSnapshot) -> None:
-        for message in self._encoder.encode(snapshot):
-            payload = b"".join(message.payload)
-            self._channels[message.channel].log(payload, log_time=max(0, snapshot.now_ns))
+    def _release(self, size: int) -> None:
+        with self._lock:
+            self._pending_bytes -= size
+
+    def _send(self, item: tuple[ResultSnapshot, int]) -> None:
+        """Encode and send a snapshot; `item` has the size of its arrays, too."""
+        snapshot, size = item
+        try:
+            for message in self._encoder.encode(snapshot):
+                payload = b"".join(message.payload)
+                self._channels[message.channel].log(payload, log_time=max(0, snapshot.now_ns))
+        finally:
+            self._release(size)
         self._encoder.release(snapshot)
 
 

@@ -3,6 +3,7 @@
 Nav2's own server drops the old goal when it gets a new one. Other servers may not; there this
 client cancels the old goal after `REPLACED_S`. A goal ends with its result, which has the reason.
 If the result is lost, for example because a router restarted, the action's `status` topic is used.
+A cancellation is repeated until it is answered, or until the status shows that the goal has ended.
 """
 
 from __future__ import annotations
@@ -67,6 +68,19 @@ class _ActiveGoal:
     recoveries: int = 0
 
 
+@dataclass(slots=True)
+class _Cancellation:
+    """A cancellation that is not answered yet.
+
+    Attributes:
+        replies: pending replies of its requests.
+        due_s: when to request again.
+    """
+
+    replies: list[PendingReply]
+    due_s: float
+
+
 class NavigateToPoseClient:
     """Sends goals to Nav2 and reports their progress.
 
@@ -99,13 +113,13 @@ class NavigateToPoseClient:
         self._active: _ActiveGoal | None = None
         self._replaced: deque[bytes] = deque(maxlen=_RING_MESSAGES)  # goals replaced by newer ones
         self._cancel_replaced_s = math.inf  # when to cancel those that are still active
-        self._must_cancel_all = False
+        self._cancellations: dict[bytes, _Cancellation] = {}  # by goal id
         self._malformed = 0
         self._waiting_logged = False
 
     def send(self, goal: Goal) -> None:
         """Drive to this goal, and no longer to the previous one."""
-        self._must_cancel_all = False
+        self._cancellations.pop(navigation.ALL_GOALS, None)  # it would cancel this goal, too
         if self._active is not None and self._active.stage != "waiting":
             self._replaced.append(self._active.goal_id)
             self._cancel_replaced_s = math.inf
@@ -119,7 +133,8 @@ class NavigateToPoseClient:
         if active is None:
             return
         if active.stage == "driving":
-            self._cancel_active(active)
+            self._active = None
+            self._send_cancel(active.goal_id)
         elif active.stage == "sent":
             active.unwanted = True
             # Cancel now as well, in case this service ends: Nav2 may have accepted the goal.
@@ -133,14 +148,11 @@ class NavigateToPoseClient:
         A service that was killed may have left one.
         """
         self.cancel()
-        self._must_cancel_all = True
+        self._send_cancel(navigation.ALL_GOALS)
         self.update()
 
     def update(self) -> None:
         """Process what arrived; request again if no reply is pending."""
-        if self._must_cancel_all and self._cancel.has_server():
-            self._must_cancel_all = False
-            self._send_cancel(navigation.ALL_GOALS)
         for _, payload in self._feedback.take():
             self._run_step(self._on_feedback, payload.to_bytes())
         for _, payload in self._status.take():
@@ -149,6 +161,7 @@ class NavigateToPoseClient:
             self._run_step(_STEPS[self._active.stage], self, self._active)
         if time.monotonic() >= self._cancel_replaced_s:
             self._cancel_replaced()
+        self._repeat_cancellations()
 
     def _run_step(self, step: Callable[..., None], *arguments: object) -> None:
         """Run a step; count a malformed message, so that it affects no other."""
@@ -206,7 +219,12 @@ class NavigateToPoseClient:
         if payload is None:
             if active.reply.done:
                 active.stage = "waiting"
-                self._active = None if active.unwanted else active
+                # Nav2 may have accepted the goal: the answer may be lost.
+                if active.unwanted:
+                    self._active = None
+                    self._send_cancel(active.goal_id)
+                else:
+                    self._replaced.append(active.goal_id)
             return
         self._cancel_replaced_s = time.monotonic() + REPLACED_S
         if not navigation.decode_send_goal_answer(payload):
@@ -215,7 +233,8 @@ class NavigateToPoseClient:
         active.stage, active.due_s = "driving", 0.0
         active.reply = PendingReply(None)
         if active.unwanted:
-            self._cancel_active(active)
+            self._active = None
+            self._send_cancel(active.goal_id)
             return
         self._report(GoalStatus(active.goal.stamp_ns, "accepted"))
         self._step_driving(active)
@@ -240,6 +259,7 @@ class NavigateToPoseClient:
             active.lost_s = now_s
         elif now_s - active.lost_s > GONE_S:
             self._finish(active, "failed", f"{self._name} is gone")
+            self._send_cancel(active.goal_id)  # it may be back, and still drive
 
     # -- messages from Nav2 -----------------------------------------------------------------------
 
@@ -257,6 +277,8 @@ class NavigateToPoseClient:
         """Note which goals have ended, for results that are lost."""
         active = self._active
         for goal_id, status in navigation.decode_goal_statuses(payload):
+            if status in SETTLED:
+                self._cancellations.pop(goal_id, None)
             ours = active is not None and goal_id == active.goal_id
             if ours and status in SETTLED and not active.status:
                 active.status, active.ended_s = status, time.monotonic()
@@ -281,14 +303,6 @@ class NavigateToPoseClient:
         if not active.unwanted:
             self._report(GoalStatus(active.goal.stamp_ns, state, reason))
 
-    def _cancel_active(self, active: _ActiveGoal) -> None:
-        """Cancel a goal and forget it.
-
-        The answer is not needed: a robot that drives on is noticed by its poses.
-        """
-        self._active = None
-        self._send_cancel(active.goal_id)
-
     def _cancel_replaced(self) -> None:
         """Cancel replaced goals that may still be active."""
         for goal_id in self._replaced:
@@ -297,7 +311,25 @@ class NavigateToPoseClient:
         self._cancel_replaced_s = math.inf
 
     def _send_cancel(self, goal_id: bytes) -> None:
-        self._cancel.call(navigation.encode_cancel(goal_id))
+        """Cancel a goal; `update` repeats the request until it is answered."""
+        reply = self._cancel.call(navigation.encode_cancel(goal_id))
+        due_s = time.monotonic() + RETRY_S if self._cancel.has_server() else 0.0
+        self._cancellations[goal_id] = _Cancellation([reply], due_s)
+        if len(self._cancellations) > _RING_MESSAGES:  # a server that never answers
+            del self._cancellations[next(iter(self._cancellations))]
+
+    def _repeat_cancellations(self) -> None:
+        """Forget answered cancellations; request the others again."""
+        now_s, has_server = time.monotonic(), self._cancel.has_server()
+        for goal_id, one in list(self._cancellations.items()):
+            # Any answer will do: "unknown goal" and "has ended" are answers, too.
+            if any(reply.poll() is not None for reply in one.replies):
+                del self._cancellations[goal_id]
+                continue
+            one.replies = [reply for reply in one.replies if not reply.done]
+            if has_server and now_s >= one.due_s:
+                one.due_s = now_s + RETRY_S
+                one.replies.append(self._cancel.call(navigation.encode_cancel(goal_id)))
 
 
 class DockRobotClient(NavigateToPoseClient):

@@ -69,17 +69,18 @@ class Ros2Sink:
 
     def tick(self, result: TickResult) -> None:
         """Queue what changed; see `edge.loop.result.Sink`."""
+        # Goals and stops keep their order: none replaces an earlier one that waits.
         for goal in result.goals:
             self._driving = True
-            self._worker.submit(("goal", goal), key="goal")
+            self._worker.enqueue(("goal", goal))
         if self._driving and result.goal is None:
             self._driving = False
             if self._goals.cancels:  # else the goal to stand still must be sent
-                self._worker.submit(("goal", None), key="goal")
+                self._worker.enqueue(("goal", None))
         if bool(result.stopped) != self._stopped:
             self._stopped = bool(result.stopped)
             if self._stopped:
-                self._worker.submit(("stop", None), key="stop")
+                self._worker.enqueue(("stop", None))
         now_ns = result.now_ns
         if result.pose is not None:
             self._driven_path.add(result.pose)
@@ -88,7 +89,10 @@ class Ros2Sink:
         if refined is not self._trajectory:
             self._trajectory = refined
             self._worker.submit(("trajectory", (now_ns, refined)), key="trajectory")
-        if "detections" in self._publishers and (found := result.detections) is not None:
+        found = result.detections
+        # `detections_frame` is that of the first camera.
+        is_first_camera = found is not None and found.observation.camera_index == 0
+        if "detections" in self._publishers and is_first_camera:
             names = [found.prompts[i] for i in found.class_id]
             boxes = found.observation.stamp_ns, names, found.score, found.xyxy_px
             self._worker.submit(("detections", boxes), key="detections")
@@ -109,7 +113,7 @@ class Ros2Sink:
 
     def close(self) -> None:
         """Cancel the goal, and send what is pending."""
-        self._worker.submit(("goal", None), key="goal")
+        self._worker.enqueue(("goal", None))
         if self._worker.close(_CLOSE_S):
             self._node.close()
             self._goals.close()

@@ -32,7 +32,8 @@ from edge.text import bounded_repr, one_line, redact
 log = logging.getLogger("edge.sources.camera")
 
 STALL_S = 2.0
-"""A camera that sends no image for this time stalls, and is opened again."""
+"""A camera that sends no image for this time stalls. A stream is opened again then; a device
+`/dev/video*` only after OpenCV's own limit, 10 s."""
 PAUSE_S, MAX_PAUSE_S = 0.5, 5.0  # before the camera is opened again; doubles with each failure
 _CLOSE_S = 3.0  # longest time to wait for the thread at the end
 _FRAME_ID = "camera"  # of recorded messages
@@ -53,6 +54,7 @@ class CameraReader:
         self.n_images = 0
         self._address, self._shown = address, one_line(redact(address))
         self._newest: tuple[int, np.ndarray] | None = None
+        self._lock = threading.Lock()  # for the newest image
         self._came_s = time.monotonic()  # when the newest image came, or the reader was made
         self._fault = ""  # that was logged; "": images come
         self._closing = threading.Event()
@@ -61,7 +63,8 @@ class CameraReader:
 
     def take(self) -> tuple[int, np.ndarray] | None:
         """Return arrival [ns] and pixels (BGR, uint8) of the newest image, once; or None."""
-        newest, self._newest = self._newest, None
+        with self._lock:
+            newest, self._newest = self._newest, None
         if newest is None and time.monotonic() - self._came_s > STALL_S:
             self._report(f"stalls: no image for over {STALL_S:g} s")
         return newest
@@ -78,7 +81,10 @@ class CameraReader:
         failures = 0
         while not self._closing.is_set():
             before = self.n_images
-            fault = self._read_until_fault()
+            try:
+                fault = self._read_until_fault()
+            except Exception as error:  # cv2.error, or MemoryError; nothing may end this thread
+                fault = f"cannot be read: {one_line(error)}"
             if self._closing.is_set():
                 return
             self._report(fault)
@@ -115,13 +121,13 @@ class CameraReader:
                     due_s += 1.0 / hz
                     self._closing.wait(max(0.0, due_s - time.monotonic()))
             return ""
-        except cv2.error as error:
-            return f"cannot be read: {one_line(error)}"
         finally:
             capture.release()
 
     def _keep(self, image: np.ndarray) -> None:
-        self._newest = time.time_ns(), image
+        newest = time.time_ns(), image
+        with self._lock:
+            self._newest = newest
         self._came_s = time.monotonic()
         self.n_images += 1
         if self._fault:

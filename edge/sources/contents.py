@@ -193,7 +193,7 @@ def _add_frames(found: RecordingContents, message: RecordedMessage) -> None:
         if found.static_bytes <= _MAX_STATIC_BYTES:
             found.static.setdefault(message.topic, []).append(message.payload)
     try:
-        transforms = decode_transforms(message.payload)
+        transforms, _ = decode_transforms(message.payload)
     except DecodeError:
         return
     for transform in transforms:

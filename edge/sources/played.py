@@ -178,7 +178,7 @@ class PlayedSource(PolledSource):
     def _process_poses(self, payload: bytes) -> None:
         """Process poses from tf, for a recording without odometry."""
         with suppress(DecodeError):  # counted already
-            for t in decode_transforms(payload):
+            for t in decode_transforms(payload)[0]:
                 if t.child == self._matched.moving_frame:
                     self._synchronizer.received(ODOMETRY)
                     sample = messages.OdometryMessage(t.stamp_ns, t.T, 0.0, 0.0, t.parent, t.child)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import struct
 import subprocess
 import sys
 import threading
@@ -243,7 +244,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
 
 def play(
     session: zenoh.Session, settings: ZenohConfig, path: str, stop: threading.Event
-) -> tuple[int, float]:
+) -> tuple[int, float, int]:
     """Publish the sensor messages of a recording, again and again until `stop` is set.
 
     They come at the times at which they were recorded, counted from the start, so delays do not add
@@ -251,10 +252,11 @@ def play(
     left out.
 
     Returns:
-        Number of messages that were sent, and the largest delay of one in seconds.
+        Number of messages that were sent, the largest delay of one in seconds, and the number of
+        messages that were left out because they have no valid stamp.
     """
     publishers: dict[str, zenoh.Publisher] = {}
-    sent, max_late_s = 0, 0.0
+    sent, max_late_s, damaged = 0, 0.0, 0
     while not stop.is_set():
         first_ns: int | None = None
         for topic, log_ns, payload in read(path):
@@ -266,7 +268,11 @@ def play(
             if stop.is_set():
                 break
             if topic.type != "json":
-                payload = _shift_stamp(payload, begin_ns - first_ns)
+                try:
+                    payload = _shift_stamp(payload, begin_ns - first_ns)
+                except (DecodeError, struct.error):  # too short, or a stamp out of range
+                    damaged += 1
+                    continue
             if topic.key not in publishers:
                 publishers[topic.key] = declare_publisher(session, topic, settings)
             publishers[topic.key].put(payload)
@@ -275,7 +281,7 @@ def play(
             raise RecordingError(f"{path}: holds no message of a sensor")
     for publisher in publishers.values():
         publisher.undeclare()
-    return sent, max_late_s
+    return sent, max_late_s, damaged
 
 
 def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
@@ -392,11 +398,12 @@ def main(path: str) -> int:
                     f"{settings.address}: no service within {_SERVICE_S:g} s; start one with "
                     "`edge run`"
                 )
-            sent, max_late_s = play(session, settings, path, stop)
+            sent, max_late_s, damaged = play(session, settings, path, stop)
     except UserError as error:
         print(error, file=sys.stderr)
         return error.exit_code
-    print(f"{path}: {sent} messages, at most {max_late_s * 1e3:.1f} ms late")
+    ending = f"; {damaged} damaged ones were left out" if damaged else ""
+    print(f"{path}: {sent} messages, at most {max_late_s * 1e3:.1f} ms late{ending}")
     return os.EX_OK
 
 

@@ -189,11 +189,11 @@ class RobotFrames:
         Raises:
             DecodeError: the message is malformed.
         """
-        unusable = [t for t in decode_transforms(payload) if not self._tf.offer(t, static)]
-        if not unusable:
-            return ""
-        first = unusable[0]
-        return f"{len(unusable)} transforms, the first from '{first.child}' to '{first.parent}'"
+        transforms, faults = decode_transforms(payload)
+        faults += [
+            f"from '{t.child}' to '{t.parent}'" for t in transforms if not self._tf.offer(t, static)
+        ]
+        return f"{len(faults)} transforms, the first {faults[0]}" if faults else ""
 
     def why_unplaced(self, frame_id: str) -> str:
         """Return why a sensor's mount is unknown, given the frame id of its messages, or ""."""

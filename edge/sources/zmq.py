@@ -161,29 +161,18 @@ class ZmqSource(ZenohSource):
         self._address = address
         self._depth_unit_m = config.source.depth_unit_m
         super().__init__(config, session)
-        self._check_s = 0.0
-        self.check_options(config, address)
-        self._zmq, self._context, self._socket = _open_socket(config, self._max_bytes)
-        # Connect at the first poll: earlier messages would wait in ZeroMQ's queues.
-        self._connected = False
+        self._camera = _CameraSocket(config, address)
         start_detached_thread("camera-name", _warn_unresolved, address)
-        self._disconnects = self._socket.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
-        self._disconnect_warned = False
 
     @staticmethod
     def check_options(config: Config, address: str, **options: Any) -> None:
         """Raise an error for invalid options; see `PolledSource.check_options`."""
         ZenohSource.check_options(config)
-        _, context, camera = _open_socket(config, 0)
-        try:
-            _connect(config, camera, address)
-        finally:
-            context.destroy(linger=0)
+        _check_address(config, address)
 
     def close(self) -> None:
         super().close()
-        self._socket.disable_monitor()
-        self._context.destroy(linger=0)
+        self._camera.close()
 
     def _where(self, topic: Topic) -> str:
         return one_line(self._address) if topic in self.NOT_FROM_ZENOH else super()._where(topic)
@@ -193,17 +182,11 @@ class ZmqSource(ZenohSource):
 
     def _drain_camera(self) -> int:
         """Read at most `KEPT` messages, so that a flood cannot block the loop; return how many."""
-        if not self._connected:
-            self._socket.connect(self._address)
-            self._connected = True
-        for n in range(KEPT):
-            try:
-                parts = self._socket.recv_multipart(self._zmq.NOBLOCK, copy=False)
-            except self._zmq.Again:
-                self._reconnect_if_lost()
-                return n
+        n = 0
+        for parts in self._camera.take(copy=False):
             self._offer(parts)
-        return KEPT
+            n += 1
+        return n
 
     def _offer(self, parts: list[zmq.Frame]) -> None:
         """Pass a camera message to the synchronizer, or count it as malformed."""
@@ -229,6 +212,45 @@ class ZmqSource(ZenohSource):
             header.image.stamp_ns, self._clock(), into, size=len(parts[1])
         )
         self._synchronizer.offer(frame)
+
+
+class _CameraSocket:
+    """The connection to a camera, which is opened again when it is lost.
+
+    Raises:
+        ConfigError: pyzmq is not installed, or the address is invalid.
+    """
+
+    def __init__(self, config: Config, address: str) -> None:
+        self._address, self._max_bytes = address, int(config.source.max_message_mb * 1e6)
+        _check_address(config, address)
+        self._zmq, self._context, self._socket = _open_socket(config, self._max_bytes)
+        # Connect at the first poll: earlier messages would wait in ZeroMQ's queues.
+        self._connected = False
+        self._disconnects = self._socket.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
+        self._disconnect_warned = False
+        self._check_s = 0.0
+
+    def take(self, copy: bool) -> Iterator[list[Any]]:
+        """Yield the parts of at most `KEPT` messages since the last poll.
+
+        Args:
+            copy: True for parts as bytes, False for frames.
+        """
+        if not self._connected:
+            self._socket.connect(self._address)
+            self._connected = True
+        for _ in range(KEPT):
+            try:
+                parts = self._socket.recv_multipart(self._zmq.NOBLOCK, copy=copy)
+            except self._zmq.Again:
+                self._reconnect_if_lost()
+                return
+            yield parts
+
+    def close(self) -> None:
+        self._socket.disable_monitor()
+        self._context.destroy(linger=0)
 
     def _reconnect_if_lost(self) -> None:
         """Check once a second for a lost connection, and connect again.
@@ -263,19 +285,12 @@ class ZmqTap:
     """
 
     def __init__(self, config: Config) -> None:
-        address = config.source.options.get("address", "")
-        max_bytes = int(config.source.max_message_mb * 1e6)
-        self._zmq, self._context, self._socket = _open_socket(config, max_bytes)
-        _connect(config, self._socket, address)
+        self._camera = _CameraSocket(config, config.source.options.get("address", ""))
         self._warned = False
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
         """Yield the messages since the last poll."""
-        for _ in range(KEPT):
-            try:
-                parts = self._socket.recv_multipart(self._zmq.NOBLOCK)
-            except self._zmq.Again:
-                return
+        for parts in self._camera.take(copy=True):
             try:
                 yield from _bus_messages(*parts)
             except (ValueError, TypeError) as error:
@@ -287,7 +302,7 @@ class ZmqTap:
                     )
 
     def close(self) -> None:
-        self._context.destroy(linger=0)
+        self._camera.close()
 
 
 def _bus_messages(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]:
@@ -298,7 +313,9 @@ def _bus_messages(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]
         info = messages.encode_camera_info(image.stamp_ns, _FRAME_ID, header.camera)
         yield topic_channel(topics.CAMERA_INFO), info
     shape, is_depth = (image.height, image.width), topic == topics.DEPTH.key
-    out = np.empty(shape if is_depth else (*shape, 3), np.float32 if is_depth else np.uint8)
+    # Depth in the unit of the camera: `source.depth_unit_m` is applied when it is replayed.
+    dtype = (np.uint16 if image.encoding == "16UC1" else np.float32) if is_depth else np.uint8
+    out = np.empty(shape if is_depth else (*shape, 3), dtype)
     images.decode_image_into(pixels, image, out)
     yield (
         topic_channel(topics.DEPTH if is_depth else topics.RGB),
@@ -335,8 +352,9 @@ def _warn_unresolved(address: str) -> None:
                     one_line(host), one_line(why))  # fmt: skip
 
 
-def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
-    """Connect the socket; raise ConfigError for an invalid address."""
+def _check_address(config: Config, address: str) -> None:
+    """Raise ConfigError for an invalid address."""
+    _, context, camera = _open_socket(config, 0)
     try:
         camera.connect(address)
     except Exception as error:  # ZMQError, or others for an address of the wrong type
@@ -345,3 +363,5 @@ def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
         raise ConfigError(
             f"{where}: {cause}; give an address such as tcp://127.0.0.1:5555"
         ) from None
+    finally:
+        context.destroy(linger=0)

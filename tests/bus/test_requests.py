@@ -14,7 +14,7 @@ import pytest
 import zenoh
 from patience import PATIENCE_S, eventually
 
-from edge.bus import request_queue
+from edge.bus import request_queue, requests
 from edge.bus.client import RequestError, send_request
 from edge.bus.requests import MAX_BYTES, RequestServer
 from edge.bus.session import open_session
@@ -337,6 +337,35 @@ def test_a_check_of_fields_that_raises_refuses_only_its_request(session, error, 
         assert asking.answer == {}
     finally:
         server.close()
+
+
+class BrokenQuery:
+    """A query that cannot be answered."""
+
+    def __enter__(self) -> None:
+        raise RuntimeError("oh no")
+
+    def __exit__(self, *exception: object) -> None: ...
+
+
+@pytest.mark.parametrize("thread", ["receiver", "sender"])
+def test_an_unexpected_error_ends_no_thread(session, serve, thread, monkeypatch, caplog):
+    server = serve()
+    if thread == "sender":
+        for _ in server._threads:
+            server._reply(BrokenQuery(), b"{}", False)
+        eventually(lambda: caplog.text.count("could not be sent: oh no") == len(server._threads))
+    else:
+
+        def fail(query: object) -> bytes:
+            raise RuntimeError("oh no")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(requests, "_payload", fail)
+            assert Asking(session, do="status").refusal.endswith("internal error: RuntimeError")
+    asking = Asking(session, do="status")
+    taken(server).answer({})
+    assert asking.answer == {}
 
 
 def test_a_very_long_error_is_cut_and_drives_no_terminal(session, serve):

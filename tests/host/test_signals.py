@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import select
 import signal
 import subprocess
 import sys
@@ -83,6 +84,28 @@ def test_showing_the_threads_changes_nothing(number, start):
     assert "thread MainThread (most recent call last):\n" in iter(process.stderr.readline, "")
     process.send_signal(signal.SIGTERM)
     assert process.stdout.readline() == "stopped\n"
+
+
+HUNG = """
+import ctypes
+from edge.host.signals import show_stacks_on_signals, stop_on_signals
+show_stacks_on_signals()
+stop_on_signals()
+lock, mutex = ctypes.CDLL(None).pthread_mutex_lock, ctypes.create_string_buffer(64)
+lock(mutex)
+print("ready", flush=True)
+lock(mutex)  # for ever, and no signal ends it
+"""
+
+
+def test_the_threads_of_a_program_that_hangs_while_stopping_are_shown(start):
+    process = start(program=HUNG)
+    process.send_signal(signal.SIGTERM)
+    time.sleep(0.3)
+    process.send_signal(SHOW[0])
+    assert select.select([process.stderr], [], [], 10.0)[0], "no stacks"
+    assert "(most recent call last):" in process.stderr.readline()
+    process.kill()
 
 
 def test_a_closed_stderr_does_not_lose_later_signals(start):

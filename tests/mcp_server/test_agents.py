@@ -40,6 +40,7 @@ import httpx2
 from mcp import Client
 from mcp.client.streamable_http import streamable_http_client
 
+from edge.mcp_server import audit
 from edge.mcp_server.audit import AuditLog, CallLimit
 from edge.mcp_server.http import serve
 from edge.mcp_server.server import NOTE, AgentServer
@@ -378,6 +379,39 @@ def test_too_many_calls_are_refused_but_stops(make):
     robot.limit._per_minute = 2
     assert [robot.call("status")[0] for _ in range(4)] == [False, False, True, True]
     assert not robot.call("stop")[0]
+
+
+def test_a_flood_of_refused_calls_is_one_line_a_minute(tmp_path):
+    log = AuditLog(tmp_path / "audit.jsonl", "test")
+    for k in range(1000):
+        log.refuse("status", 100.0 + k * 0.1)
+    log.close()
+    lines = [json.loads(line) for line in log.path.read_text().splitlines()]
+    assert [line["refused"] for line in lines] == [1, 600]
+    assert lines[0]["outcome"] == "refused: too many calls a minute"
+
+
+def test_calls_over_the_limit_do_not_fill_the_log(make):
+    robot = make("ask")
+    robot.limit._per_minute = 2
+    for _ in range(20):
+        robot.call("status")
+    assert len(robot.log.path.read_text().splitlines()) == 2 * 2 + 1
+
+
+def test_a_full_log_is_kept_once_and_shared_by_processes(tmp_path, monkeypatch):
+    monkeypatch.setattr(audit, "MOST_BYTES", 2_000)
+    path = tmp_path / "audit.jsonl"
+    logs = [AuditLog(path, name) for name in ("a", "b")]
+    for k in range(100):
+        log = logs[k % 2]
+        log.end(log.begin("status", {}), "done")
+    for log in logs:
+        log.close()
+    files = sorted(tmp_path.iterdir())
+    assert [file.name for file in files] == ["audit.jsonl", "audit.jsonl.1"]
+    assert all(file.stat().st_size < 2_500 for file in files)
+    assert files[1].stat().st_size >= 2_000
 
 
 def test_without_a_log_nothing_is_done_but_a_stop(make, monkeypatch):

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from datetime import datetime
 
 import pytest
 
 from edge.bus import topics
+from edge.recording import rolling as rolling_module
 from edge.recording.channels import topic_channel
-from edge.recording.file import PARTIAL, McapReader
-from edge.recording.rolling import RecordingLimits, RollingRecorder, files_of
+from edge.recording.file import PARTIAL, McapReader, _UnbufferedFile
+from edge.recording.rolling import RecordingLimits, RollingRecorder, files_of, make_room
 
 STATUS = topic_channel(topics.STATUS)
 NOISE = os.urandom(100_000)  # does not get smaller
@@ -114,6 +116,59 @@ def test_a_write_error_is_logged_once_and_recording_continues_later(tmp_path, cl
     assert len(said) == 2
     assert said[0].endswith("cannot record: File exists; trying again every few seconds")
     assert said[1].endswith("; 6 messages were lost")
+    files.close()
+
+
+def test_a_clock_that_begins_in_1970_deletes_the_older_files_first(tmp_path, clock, monkeypatch):
+    for day in (1, 2, 3):
+        (tmp_path / f"edge-2026010{day}T000000.000Z.mcap").write_bytes(bytes(1_000_000))
+    (tmp_path / "edge-99999999T000000.000Z.mcap").write_bytes(b"")
+
+    class Clock1970(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime(1970, 1, 1, 0, 0, 5, tzinfo=tz)
+
+    monkeypatch.setattr(rolling_module, "datetime", Clock1970)
+    files = rolling(tmp_path, clock, max_mb=1.0, keep_mb=3.0)
+    put(files, 30, NOISE)
+    files.close()
+    names = [path.name for path in files_of(tmp_path)]
+    assert "edge-20260103T000000.003Z.mcap" in names
+    assert "edge-20260101T000000.000Z.mcap" not in names
+    assert "edge-20260102T000000.000Z.mcap" not in names
+
+
+def test_a_file_deleted_by_another_process_does_not_disturb(tmp_path, clock, monkeypatch):
+    for day in (1, 2):
+        (tmp_path / f"edge-2026010{day}T000000.000Z.mcap").write_bytes(b"")
+    found = files_of(tmp_path)
+    found[0].unlink()
+    monkeypatch.setattr(rolling_module, "files_of", lambda folder: found)
+    make_room(tmp_path, -1)
+    assert not found[1].exists()
+
+
+@pytest.mark.parametrize("step", ["write", "fsync", "close", "replace"])
+def test_recording_goes_on_after_an_error_at_the_end_of_a_file(tmp_path, clock, monkeypatch, step):
+    files = rolling(tmp_path, clock, max_s=10.0)
+    put(files, 2)
+    clock.s += 11.0
+
+    def fail(*_):
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        owner, name = {
+            "write": (_UnbufferedFile, "write"), "fsync": (_UnbufferedFile, "sync"),
+            "close": (os, "close"), "replace": (os, "replace"),
+        }[step]  # fmt: skip
+        patch.setattr(owner, name, fail)
+        files.ready()
+    assert (files.name, files.problem) == ("", "Input/output error")
+    clock.s += 6.0
+    put(files, 3)
+    assert (files.messages, files.lost, files.problem) == (3, 2, "")
     files.close()
 
 

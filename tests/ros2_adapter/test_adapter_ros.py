@@ -166,7 +166,7 @@ def test_a_silent_topic_is_reported_with_the_reason(adapter, service):
 
 def test_a_late_subscriber_gets_static_transforms(adapter, service):
     late = service.hear("tf_static", latched=True)
-    (transform,) = transforms.decode_transforms(payload_of(late))
+    ((transform,), _) = transforms.decode_transforms(payload_of(late))
     assert (transform.parent, transform.child) == ("base_link", "camera")
     np.testing.assert_allclose(transform.T[:3, 3], MOUNTED)
     late.close()

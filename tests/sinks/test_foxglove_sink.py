@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import threading
 from contextlib import contextmanager
 
 import numpy as np
@@ -18,6 +19,7 @@ from edge.errors import UnavailableError
 from edge.geometry import SE2, CameraModel
 from edge.recording import channels
 from edge.sinks import find_sinks
+from edge.sinks.encoder import ResultEncoder
 from edge.sinks.foxglove import FoxgloveSink
 from edge.types import Observation
 
@@ -111,6 +113,28 @@ def test_a_client_gets_only_its_subscribed_topics(sink):
         assert time_ns % 10**8 == 0
         assert b"16UC1" in payload
         assert json.loads(foxglove.came["/mission"][0][1])["phase"] == "searching"
+
+
+def test_arrays_that_wait_are_bounded_by_their_size(monkeypatch):
+    monkeypatch.setattr(FoxgloveSink, "_is_subscribed", lambda self, channel: True)
+    monkeypatch.setattr("edge.sinks.foxglove._MOST_PENDING_BYTES", 10_000)
+    blocked, waiting = threading.Event(), []
+    encode = ResultEncoder.encode
+
+    def slow(self, snapshot):
+        blocked.wait()
+        waiting.append(snapshot.bytes)
+        return encode(self, snapshot)
+
+    monkeypatch.setattr(ResultEncoder, "encode", slow)
+    sink = FoxgloveSink(simulated(), port=0)
+    for k in range(50):
+        sink.tick(tick(k))
+    blocked.set()
+    eventually(lambda: len(waiting) == 50)
+    assert 10_000 <= sum(waiting) < 20_000
+    eventually(lambda: sink._pending_bytes == 0)
+    sink.close()
 
 
 def test_a_port_that_is_taken(sink):

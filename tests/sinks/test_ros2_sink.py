@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import struct
+import threading
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +27,7 @@ from edge.geometry import SE2
 from edge.mapping.zones import ZonePolygons
 from edge.memory import KnownObject
 from edge.sinks import navigate
+from edge.sinks.navigate import NavigateToPoseClient
 from edge.sinks.ros2 import PathRing, Ros2Sink
 from edge.sources.goal_status import GoalStatusInbox
 from edge.types import Detections, Goal, GoalStatus, Instance, Observation
@@ -280,9 +284,124 @@ def test_a_stop_cancels_its_goal_and_all_of_others_once(make, nav2):
     assert eventually(lambda: len(nav2.cancelled) >= 2 and nav2.cancelled) == [goal_id, bytes(16)]
 
 
+def test_goals_and_stops_that_wait_keep_their_order(make, monkeypatch):
+    entered, go_on, delivered = threading.Event(), threading.Event(), []
+
+    def deliver(self, message):
+        entered.set()
+        assert go_on.wait(PATIENCE_S)
+        delivered.append((message[0], message[1] and message[1].stamp_ns))
+
+    monkeypatch.setattr(Ros2Sink, "_deliver", deliver)
+    sink = make()
+    sink._limiter = SimpleNamespace(take_turn=lambda *_: False)
+    sink.tick(driving(1))
+    assert entered.wait(PATIENCE_S)
+    sink.tick(driving(2))
+    sink.tick(result(stopped="button"))
+    sink.tick(driving(3))
+    go_on.set()
+    eventually(lambda: ("goal", 3) in delivered)
+    assert delivered == [("goal", 1), ("goal", 2), ("goal", None), ("stop", None), ("goal", 3)]
+
+
 def test_a_start_while_stopped_cancels_leftover_goals(make, nav2):
     make().tick(result(stopped="button"))
     assert eventually(lambda: nav2.cancelled) == [bytes(16)]
+
+
+class FakeReply:
+    """A pending reply; a test answers it, or loses the answer (`done`)."""
+
+    def __init__(self, done: bool) -> None:
+        self.done, self.answer = done, None
+
+    def poll(self):
+        answer, self.answer = self.answer, None
+        self.done |= answer is not None
+        return answer
+
+
+class FakeNode:
+    """A node whose only action is gone while `has_server` is False."""
+
+    def __init__(self) -> None:
+        self.has_server, self.calls, self.statuses = True, {}, []
+
+    def client(self, service, *_):
+        calls = self.calls.setdefault(service.rsplit("/", 1)[1], [])
+
+        def call(payload):
+            if self.has_server:
+                calls.append((payload, FakeReply(done=False)))
+            return calls[-1][1] if self.has_server else FakeReply(done=True)
+
+        return SimpleNamespace(has_server=lambda: self.has_server, call=call)
+
+    def subscription(self, topic, *_):
+        if not topic.endswith("status"):
+            return SimpleNamespace(take=list)
+        return SimpleNamespace(take=lambda: [self.statuses.pop()] if self.statuses else [])
+
+    @property
+    def cancelled(self) -> list[bytes]:
+        return [payload[4:20] for payload, _ in self.calls["cancel_goal"]]
+
+
+ACCEPTED = b"\0\1\0\0\1" + bytes(11)
+REJECTED = b"\0\1\0\0\1" + bytes(7)  # an answer to a cancellation
+
+
+@pytest.mark.parametrize("is_stop", [False, True], ids=["cancel", "stop"])
+@pytest.mark.parametrize("lost", ["the answer to the goal", "the action", "the cancellation"])
+def test_a_cancellation_is_repeated_until_it_is_answered(lost, is_stop, monkeypatch):
+    monkeypatch.setattr(navigate, "RETRY_S", 0.0)
+    node = FakeNode()
+    client = NavigateToPoseClient(node, "/navigate_to_pose", "map", lambda status: None)
+    client.send(goal(1))
+    ((request, reply),) = node.calls["send_goal"]
+    if lost == "the answer to the goal":
+        reply.done = True
+    else:
+        reply.answer = ACCEPTED
+    node.has_server = lost != "the answer to the goal"
+    client.update()
+    node.has_server = lost == "the cancellation"
+    if is_stop:
+        client.cancel_all()
+    else:
+        client.cancel()
+    node.has_server = True
+    for _, reply in node.calls["cancel_goal"]:
+        reply.done = True  # and no answer came
+    before = len(node.cancelled)
+    client.update()
+    wanted = {request[4:20], bytes(16)} if is_stop else {request[4:20]}
+    assert set(node.cancelled[before:]) == wanted
+    for _, reply in node.calls["cancel_goal"]:
+        reply.answer = REJECTED
+    client.update()
+    before = len(node.cancelled)
+    client.update()
+    assert len(node.cancelled) == before
+
+
+def test_a_cancellation_ends_with_the_goal_and_a_new_goal_outlives_a_stop(monkeypatch):
+    monkeypatch.setattr(navigate, "RETRY_S", 0.0)
+    node = FakeNode()
+    client = NavigateToPoseClient(node, "/navigate_to_pose", "map", lambda status: None)
+    client.send(goal(1))
+    ((request, reply),) = node.calls["send_goal"]
+    reply.answer = ACCEPTED
+    client.update()
+    client.cancel_all()
+    ended = struct.pack("<4sI16sIIb", b"\0\1\0\0", 1, request[4:20], 0, 0, CANCELED)
+    node.statuses.append(("", SimpleNamespace(to_bytes=lambda: ended)))
+    client.update()
+    client.send(goal(2))
+    before = len(node.cancelled)
+    client.update()
+    assert node.cancelled[before:] == []
 
 
 def test_closing_takes_the_goal_back(make, nav2):
@@ -399,6 +518,8 @@ def test_subscribers_get_boxes_and_objects(make, theirs):
     seen = Observation(seq=0, stamp_ns=77, T_map_base=np.eye(4))
     two, one = np.array([[0, 0, 20, 10], [5, 5, 9, 9]], np.float32), np.ones(2, np.float32)
     found = Detections(seen, two, one, np.array([1, 0], np.int32), ("chair", "bed"))
+    behind = Observation(seq=1, stamp_ns=78, T_map_base=np.eye(4), camera_index=1)
+    of_second_camera = Detections(behind, two, one, np.array([0, 0], np.int32), ("chair",))
     points = np.array([[1, 2, 0], [2, 2, 1]], np.float32)
     of = partial(Instance, points_m=points, score=0.5, hits=3, first_seen_ns=0, last_seen_ns=0)
     bed, rejected = of(4, "bed", points[0]), of(5, "bed", points[0], state="rejected")
@@ -408,6 +529,7 @@ def test_subscribers_get_boxes_and_objects(make, theirs):
     def heard(subscription):
         sink.tick(result(next(ticks) * 10**9, detections=found,
                          instances=lambda: [bed, rejected], objects=lambda: [mug]))  # fmt: skip
+        sink.tick(result(next(ticks) * 10**9, detections=of_second_camera))
         return subscription.take()
 
     type_name, payload = eventually(lambda: heard(boxes))[0]

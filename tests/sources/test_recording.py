@@ -118,6 +118,20 @@ def test_playback_sends_sensor_messages_with_new_stamps(tmp_path):
     assert last.T_map_base[0, 3] == pytest.approx(0.3)
 
 
+@pytest.mark.parametrize(
+    "payload",
+    [b"\0\1\0\0\1", b"", b"\0\1\0\0\xff\xff\xff\x7f" + bytes(60)],
+    ids=["short", "empty", "stamp out of range"],
+)
+def test_a_damaged_message_is_left_out_of_the_playback(tmp_path, payload):
+    path = tmp_path / "drive.mcap"
+    first, *others = drive(4)
+    record_messages(path, [first, (topics.ODOMETRY, first[1], payload), *others])
+    tape = Tape(8)
+    sent, _, damaged = recording.play(tape, ZenohConfig(), path, tape.full)
+    assert (sent, damaged) == (8, 1)
+
+
 def test_ground_truth_is_played_with_the_images(tmp_path):
     """So that the detector `sim` finds it by the new stamp."""
     path, ids = tmp_path / "truth.mcap", np.ones((2, 3), np.uint16)

@@ -141,6 +141,23 @@ def test_a_missing_camera_is_reported_and_opened_later(tmp_path, caplog, monkeyp
     assert any("sends images again" in line for line in reported)
 
 
+@pytest.mark.parametrize("error", [cv2.error("oh no"), MemoryError("oh no"), SystemError("oh no")])
+def test_an_error_of_a_read_is_reported_and_the_camera_opened_again(tmp_path, error, monkeypatch,
+                                                                    caplog):  # fmt: skip
+    monkeypatch.setattr(module, "PAUSE_S", 0.01)
+    errors, open_capture = [error], cv2.VideoCapture
+
+    def fail_once(*arguments):
+        if errors:
+            raise errors.pop()
+        return open_capture(*arguments)
+
+    monkeypatch.setattr(cv2, "VideoCapture", fail_once)
+    with reading(str(write_video(tmp_path / "a.avi"))) as reader:
+        eventually(reader.take, patience_s=10.0)
+    assert "cannot be read: oh no" in caplog.text
+
+
 class Stream(Quiet):
     """Motion JPEG over HTTP: three images, then as `then` says."""
 

@@ -28,7 +28,7 @@ from edge.geometry import CameraModel
 from edge.host.ports import free_port
 from edge.loop.source import missing_inputs
 from edge.sources import find_source
-from edge.sources.zmq import ZmqSource
+from edge.sources.zmq import ZmqSource, ZmqTap, _bus_messages, parse_header
 from edge.types import Observation
 
 zmq = pytest.importorskip("zmq", reason="extra `zmq` is not installed")
@@ -184,6 +184,43 @@ def test_an_oversized_message_is_refused_and_logged_once(caplog):
         eventually(lambda: (send(RGB, b""), source.wait(0.05), source.counters["received"])[-1]
                    > before, "not found again")  # fmt: skip
     assert sum("the camera disconnected" in m for m in caplog.messages) == 1
+
+
+def test_recording_goes_on_after_an_oversized_message():
+    where = address()
+    tap = ZmqTap(configured(where))
+    with camera_at(where) as send:
+
+        def taken(size: int) -> int:
+            send({**RGB, "height": size // 96}, bytes(size))
+            time.sleep(0.05)
+            return len(list(tap.take()))
+
+        eventually(lambda: taken(1536))
+        for _ in range(3):
+            taken(1_056_000)
+        time.sleep(0.1)
+        assert taken(1_056_000) == 0
+        eventually(lambda: taken(1536), "not found again")
+    tap.close()
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels"),
+    [("16UC1", np.array([[2000, 65535]], "<u2")), ("32FC1", np.array([[2.0, np.nan]], "<f4"))],
+)
+@pytest.mark.parametrize("unit_m", [None, 0.0001])
+def test_recorded_depth_is_replayed_in_the_same_metres(encoding, pixels, unit_m):
+    header = {**DEPTH, "height": 1, "width": 2, "encoding": encoding}
+    head = json.dumps(header).encode()
+    live, replayed = np.zeros((2, 1, 2), np.float32)
+    image = parse_header(head, pixels.nbytes).image
+    messages.decode_image_into(pixels.tobytes(), image, live, unit_m)
+    ((_, payload),) = _bus_messages(head, pixels.tobytes())
+    image = messages.decode_image_header(payload)
+    assert image.encoding == encoding
+    messages.decode_image_into(payload, image, replayed, unit_m)
+    np.testing.assert_array_equal(replayed, live)
 
 
 def test_a_host_without_an_address_is_logged(caplog):

@@ -6,6 +6,7 @@ is a std_msgs/String on the other topic: the JSON of the answer, with the `to` a
 request. Every node of the graph may send requests and hears all answers.
 
 A std_msgs/Bool on the topic `stop` stops the robot, without any setting: true is a pressed button.
+So does any message of another type, such as std_msgs/Empty.
 """
 
 from __future__ import annotations
@@ -108,14 +109,20 @@ def serve_ros2_requests(
 def serve_ros2_stop(
     config: Config, session: zenoh.Session, stop: Callable[[str], object]
 ) -> Iterator[None]:
-    """Stop the robot at each true message on the topic `stop`, until the block ends."""
+    """Stop the robot at each true message on the topic `stop`, until the block ends.
+
+    A message of another type than Bool stops it, too. Latched messages from before count.
+    """
     node, topic = open_node(config, session, "stop"), config.ros2.topic("stop")
-    pressed = node.subscription(topic, (BOOL,), _RING_MESSAGES)
+    pressed = node.subscription(topic, (BOOL,), _RING_MESSAGES, latched=True)
 
     def poll() -> None:
         node.update()
         # The byte after the header is the value. A malformed message stops the robot, too.
-        if any(payload.to_bytes()[len(HEADER) :][:1] != b"\0" for _, payload in pressed.take()):
+        if any(
+            type_name != BOOL or payload.to_bytes()[len(HEADER) :][:1] != b"\0"
+            for type_name, payload in pressed.take()
+        ):
             stop(f"a message on {topic}")
 
     with closing(node), run_periodically("ros2-stop", STOP_POLL_S, poll):

@@ -16,13 +16,26 @@ _HEIGHT_WIDTH = struct.Struct("<II")
 # Encoding: (bytes per pixel, channels).
 _LAYOUTS = {
     "rgb8": (3, 3), "bgr8": (3, 3), "rgba8": (4, 4), "bgra8": (4, 4), "mono8": (1, 1),
-    "16UC1": (2, 1), "mono16": (2, 1), "32FC1": (4, 1),
+    "16UC1": (2, 1), "mono16": (2, 1), "32FC1": (4, 1), "8UC3": (3, 3), "8UC1": (1, 1),
+    "bayer_rggb8": (1, 1), "bayer_bggr8": (1, 1), "bayer_gbrg8": (1, 1), "bayer_grbg8": (1, 1),
+    "yuv422": (2, 2), "uyvy": (2, 2), "yuv422_yuy2": (2, 2), "yuyv": (2, 2),
 }  # fmt: skip
 _TO_RGB = {
     "bgr8": cv2.COLOR_BGR2RGB,
     "rgba8": cv2.COLOR_RGBA2RGB,
     "bgra8": cv2.COLOR_BGRA2RGB,
     "mono8": cv2.COLOR_GRAY2RGB,
+    "8UC3": cv2.COLOR_BGR2RGB,  # OpenCV's own order
+    "8UC1": cv2.COLOR_GRAY2RGB,
+    # OpenCV names a pattern by the second row, from the second column on.
+    "bayer_rggb8": cv2.COLOR_BayerBG2RGB,
+    "bayer_bggr8": cv2.COLOR_BayerRG2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2RGB,
+    "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
+    "yuv422": cv2.COLOR_YUV2RGB_UYVY,
+    "uyvy": cv2.COLOR_YUV2RGB_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+    "yuyv": cv2.COLOR_YUV2RGB_YUY2,
 }
 _ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
 M_PER_MM = 0.001
@@ -105,6 +118,8 @@ def decode_image_header(payload: bytes) -> ImageHeader:
     row = width * layout[0]
     if height * row == size:  # no padding: the step is redundant, ignore a wrong one
         step = row
+    if layout == (2, 2) and width % 2:
+        raise DecodeError(f"image {width}x{height} {encoding}: the width must be even")
     if step < row or height * step > size:
         raise DecodeError(
             f"image {width}x{height} {encoding}: step {step} does not fit {size} bytes of data: "
@@ -121,8 +136,8 @@ def decode_image_into(
     Args:
         payload: the message.
         header: from `decode_image_header`.
-        out: (h, w, 3) uint8 for rgb8, bgr8, rgba8, bgra8, mono8 as RGB; (h, w) float32 for 16UC1
-            and 32FC1 in metres, 0 = no return; (h, w) uint16 for raw 16UC1.
+        out: (h, w, 3) uint8 for rgb8 and the encodings of `_TO_RGB`, as RGB; (h, w) float32 for
+            16UC1 and 32FC1 in metres, 0 = no return; (h, w) uint16 for raw 16UC1.
         unit_m: metres per unit of depth; None: 0.001 for integers, 1 for floats (REP 118).
 
     Raises:

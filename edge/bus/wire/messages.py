@@ -119,13 +119,16 @@ def encode_odometry(stamp_ns: int, T_map_base: np.ndarray, v_mps: float, w_radps
 
 
 def decode_odometry(payload: bytes) -> OdometryMessage:
-    """Decode nav_msgs/Odometry; of the twist, only forward speed and turn rate."""
+    """Decode nav_msgs/Odometry; of the twist, only forward speed and turn rate.
+
+    These may be NaN: some drivers leave unknown speeds so, with a good pose.
+    """
     reader = CdrReader(payload)
     stamp_ns, frame_id = reader.header()
     child_frame_id = reader.string()
     T = read_pose(reader)
     reader.skip(_COVARIANCE.size, 8)
-    twist = _finite(reader.read(_TWIST, 8), "twist")
+    twist = reader.read(_TWIST, 8)
     reader.skip(_COVARIANCE.size, 8)
     return OdometryMessage(stamp_ns, T, twist[0], twist[5], frame_id, child_frame_id)
 

@@ -34,8 +34,12 @@ class Transform:
     T: np.ndarray
 
 
-def decode_transforms(payload: bytes) -> list[Transform]:
-    """Decode tf2_msgs/TFMessage; the leading slash of a frame (ROS 1) is removed."""
+def decode_transforms(payload: bytes) -> tuple[list[Transform], list[str]]:
+    """Decode tf2_msgs/TFMessage; the leading slash of a frame (ROS 1) is removed.
+
+    Returns:
+        The valid transforms, and a description of each other one, as tf2 skips only those.
+    """
     reader = CdrReader(payload)
     (count,) = reader.read(U32, 4)
     if count > min(MOST_TRANSFORMS, len(payload) // _MIN_TRANSFORM_BYTES):
@@ -43,7 +47,14 @@ def decode_transforms(payload: bytes) -> list[Transform]:
             f"message of {count} transforms: at most {MOST_TRANSFORMS} are allowed, and its "
             f"{len(payload)} bytes have room for {len(payload) // _MIN_TRANSFORM_BYTES}"
         )
-    return [_read_transform(reader) for _ in range(count)]
+    valid, faults = [], []
+    for _ in range(count):
+        transform = _read_transform(reader)
+        if isinstance(transform, str):
+            faults.append(transform)
+        else:
+            valid.append(transform)
+    return valid, faults
 
 
 def encode_transforms(transforms: Sequence[Transform]) -> bytes:
@@ -55,18 +66,18 @@ def encode_transforms(transforms: Sequence[Transform]) -> bytes:
     return writer.bytes()
 
 
-def _read_transform(reader: CdrReader) -> Transform:
-    """Read one geometry_msgs/TransformStamped."""
+def _read_transform(reader: CdrReader) -> Transform | str:
+    """Read one geometry_msgs/TransformStamped; return a description of an invalid one."""
     stamp_ns, parent = reader.header()
-    child = reader.string()
+    parent, child = parent.lstrip("/"), reader.string().lstrip("/")
     values = reader.read(_TRANSFORM, 8)
     if not all(map(math.isfinite, values)):
-        raise DecodeError("transform holds NaN or inf")
+        return f"from '{child}' to '{parent}' (NaN or inf)"
     try:
         T = se3_from_quaternion(values[:3], values[3:])
     except ValueError as error:
-        raise DecodeError(str(error)) from None
-    return Transform(stamp_ns, parent.lstrip("/"), child.lstrip("/"), T)
+        return f"from '{child}' to '{parent}' ({error})"
+    return Transform(stamp_ns, parent, child, T)
 
 
 def encode_path(

@@ -14,10 +14,11 @@ from simulated import simulated
 
 from edge.bus import topics
 from edge.bus.request_queue import MAX_BYTES, RequestQueue
-from edge.bus.ros2.names import dialect_of
+from edge.bus.ros2.names import RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Ros2Node
 from edge.bus.ros2.requests import BOOL, STRING, serve_ros2_requests, serve_ros2_stop
 from edge.bus.verbs import Verb
+from edge.bus.wire.cdr import HEADER
 
 KEYS = [key.removesuffix("/request") for key in topics.REQUESTS]
 Ask = Callable[[bytes], dict[str, Any]]
@@ -119,3 +120,27 @@ def test_only_a_pressed_button_stops_the_robot(port, via):
             assert len(reasons) == presses
         node.close()
     assert set(reasons) == {"a message on /edge/stop"}
+
+
+@pytest.mark.parametrize(
+    ("type_name", "payload", "latched"),
+    [(BOOL, to_ros(STORE.types[BOOL](True)), True), (STRING, HEADER + b"\0", False)],
+    ids=["pressed before the start", "another type"],
+)
+def test_a_latched_message_and_one_of_another_type_stop_the_robot(
+    port, type_name, payload, latched
+):
+    config = simulated()
+    config = config.model_copy(update={"zenoh": zenoh_settings(port)})
+    reasons: list[str] = []
+    with ours(port) as theirs, ours(port) as session:
+        node = Ros2Node(theirs, 0, "button", RMW_ZENOH)
+        button = node.publisher("/edge/stop", type_name, latched)
+        if latched:
+            button.put(payload)
+        with serve_ros2_stop(config, session, reasons.append):
+            if not latched:
+                eventually(lambda: node.update() or button.has_subscribers())
+                button.put(payload)
+            eventually(lambda: reasons)
+        node.close()

@@ -16,9 +16,11 @@ from ros_messages import (
     pose,
     to_ros,
 )
+from simulated import simulated
 
-from edge.bus.wire import markers, navigation, transforms
+from edge.bus.wire import DecodeError, markers, navigation, transforms
 from edge.geometry import SE2
+from edge.sources.tf import RobotFrames
 
 ID = bytes(range(16))
 GOAL = SE2(1.5, -2.0, 0.5)
@@ -41,13 +43,35 @@ def transform(parent: str, child: str, x_m: float):
 def test_transforms(names):
     sent = [transform("/odom", name, float(i)) for i, name in enumerate(names)]
     payload = to_ros(STORE.types["tf2_msgs/msg/TFMessage"](sent))
-    got = transforms.decode_transforms(payload)
+    got, faults = transforms.decode_transforms(payload)
+    assert faults == []
     assert [(t.stamp_ns, t.parent, t.child, t.T[0, 3]) for t in got] == [
         (7, "odom", name, float(i)) for i, name in enumerate(names)
     ]
     for t in got:
         np.testing.assert_allclose(t.T[:2, :2], [[math.cos(0.5), -math.sin(0.5)],
                                                  [math.sin(0.5), math.cos(0.5)]])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("field", "fault"), [("x", "NaN or inf"), ("w", "quaternion")], ids=["nan", "zero quaternion"]
+)
+def test_an_invalid_transform_is_left_out(field, fault):
+    bad = transform("base_link", "gripper", math.nan if field == "x" else 1.0)
+    if field == "w":
+        bad.transform.rotation = STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 0.0)
+    sent = [transform("base_link", "a", 1.0), bad, transform("base_link", "b", 2.0)]
+    payload = to_ros(STORE.types["tf2_msgs/msg/TFMessage"](sent))
+    got, faults = transforms.decode_transforms(payload)
+    assert [t.child for t in got] == ["a", "b"]
+    (said,) = faults
+    assert said.startswith("from 'gripper' to 'base_link' (")
+    assert fault in said
+    frames = RobotFrames(simulated({"ros2": {"mounts": "tf"}}))
+    assert frames.take(payload, static=True) == f"1 transforms, the first {said}"
+    assert frames.why_unplaced("b") == ""
+    with pytest.raises(DecodeError):
+        transforms.decode_transforms(payload[:-1])
 
 
 @pytest.mark.parametrize("frame_id", ["map", "", "odometry", "m"])
