@@ -155,6 +155,20 @@ def test_the_newest_image_shows_these_objects(scene):
     assert s.tracker.observed == []
 
 
+@pytest.mark.parametrize("older_row", [0, 1])
+def test_two_rows_that_are_one_object_keep_the_older_identity(scene, older_row):
+    s = scene().see(("chair", NEAR, 0.5, 0.8), ("chair", FAR, -2.0, 0.8))
+    rows = s.tracker._objects
+    rows.id[older_row], rows.id[1 - older_row] = 7, 9
+    rows.moves[older_row], rows.came_from_m[older_row] = 2, (4.0, 1.0)
+    rows.xyz_m[1] = rows.xyz_m[0]  # the centres have come together
+    s.tracker._place(1)
+    s.see(("chair", NEAR, 0.5, 0.8))
+    assert (s.seen.n, s.seen.id[0], s.seen.moves[0]) == (1, 7, 2)
+    assert s.seen.came_from_m[0].tolist() == [4.0, 1.0]
+    assert s.tracker.moved.renamed == {9: 7}
+
+
 def test_ids_continue_after_everything_is_forgotten(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     before, generation = int(s.seen.id[0]), s.seen.generation

@@ -351,6 +351,7 @@ class ObjectTracker:
             for array in (e.now, s.confidence, s.last_seen_ns, e.peak):
                 array[kept] = max(array[kept], array[gone])
             s.first_seen_ns[kept] = min(s.first_seen_ns[kept], s.first_seen_ns[gone])
+            self.moved.unite(kept, gone)
             kernels.add_points(
                 s.points_m, s.n_points, e.cursor, kept, s.points_m[gone].copy(),
                 s.n_points[gone], self.config.voxel_m,
