@@ -150,8 +150,8 @@ def fake_ort(monkeypatch):
     """Install a fake onnxruntime on a machine that appears to have TensorRT and a GPU."""
     fake = FakeOrt()
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", fake)
-    monkeypatch.setattr(runtime, "tensorrt_version", lambda: "10.3.0")
-    monkeypatch.setattr(engines, "gpu_of", lambda device_id: ("Orin", "8.7"))
+    monkeypatch.setattr(runtime, "tensorrt_version", lambda key: "10.3.0")
+    monkeypatch.setattr(engines, "gpu_of", lambda *_: ("Orin", "8.7"))
     return fake
 
 
@@ -169,7 +169,7 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, m
     open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
     assert fake_ort.sessions[2:] == [(folder, kept)]
     assert len(told) == 1
-    orin_nx = lambda device_id: ("Orin NX", "8.7")  # noqa: E731
+    orin_nx = lambda *_: ("Orin NX", "8.7")  # noqa: E731
     for module, name, other in ((engines, "gpu_of", orin_nx), (runtime, "RECIPE", 0)):
         monkeypatch.setattr(module, name, other)
         open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
@@ -210,8 +210,27 @@ def test_a_missing_driver_or_gpu_is_an_error(monkeypatch):
         cuda.gpu_of(0)
     broken = SimpleNamespace(cuInit=lambda flags: 100)
     monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: broken)
-    with pytest.raises(ModelError, match="no GPU 3"):
+    with pytest.raises(ModelError, match=r"^perception\.detector\.device_id: no GPU 3"):
         cuda.gpu_of(3)
+
+
+@pytest.mark.parametrize("section", ["perception.segmenter", "tasks.ground", "perception.choice"])
+def test_messages_name_the_section_of_the_model(tmp_path, monkeypatch, section):
+    options = replace(engine(), section=section, cache=tmp_path)
+    (tmp_path / "tiny.onnx").write_bytes(b"model")
+    for providers in (["tensorrt"], ["NoSuchProvider"], []):
+        with pytest.raises(ModelError, match=f"^{section}.providers: "):
+            runtime.open_onnxruntime_session(tmp_path / "tiny.onnx", providers, 1, 0, options)
+    monkeypatch.setattr(ort, "get_available_providers", lambda: [ORT_TENSORRT, CPU])
+    monkeypatch.setattr(runtime, "tensorrt_version", lambda key: "10.3.0")
+    driver = SimpleNamespace(cuInit=lambda flags: 100)
+    monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: driver)
+    with pytest.raises(ModelError, match=f"^{section}.device_id: no GPU 0"):
+        open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
+    monkeypatch.setattr(engines, "gpu_of", lambda *_: ("Orin", "8.7"))
+    options = replace(options, cache=tmp_path / "tiny.onnx")  # a file, not a folder
+    with pytest.raises(ModelError, match="make it writable, or set EDGE_CACHE_DIR"):
+        open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
 
 
 def test_a_gpu_is_asked_for_its_name_and_capability(monkeypatch):
