@@ -170,6 +170,14 @@ FAULTS = [
         "set extent_m to at most 204, or resolution_m to at least 0.123",
     ),
     (
+        {"mapping": {"min_range_m": 5, "range_m": 5}},
+        "f.yaml: mapping: min_range_m 5: must be below range_m 5, or no measurement is used",
+    ),
+    (
+        {"sensors": {"camera": {"depth_min_m": 9, "depth_max_m": 1}}},
+        "f.yaml: sensors.camera: depth_min_m 9: must be below depth_max_m 1",
+    ),
+    (
         {"mapping": {"resolution_m": 0.032}},
         "f.yaml: mapping.resolution_m: 0.032: too fine for policy.kind hvl, which counts unknown "
         "cells within 1 m: set mapping.resolution_m to at least 0.0323, or another policy.kind",
