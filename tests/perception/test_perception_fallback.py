@@ -6,6 +6,7 @@ import logging
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import onnxruntime
@@ -18,6 +19,7 @@ from patience import PATIENCE_S, eventually
 
 from edge.config import ChoiceOpenai, ChoiceText, DetectorOnnx, PerceptionConfig
 from edge.errors import UserError
+from edge.perception import factory
 from edge.perception.detection.fallback import FallbackDetector
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
@@ -175,6 +177,17 @@ def test_a_fallback_on_a_server_is_refused(cards):
     says = r"^perception\.detector\.fallback: model far runs on a server; name one of this[^\n]*$"
     with pytest.raises(ModelError, match=says):
         make_detector(perception("far"), ("chair",))
+
+
+@pytest.mark.parametrize("error", [PromptError("no"), ModelError("no"), RuntimeError("no")])
+def test_the_local_detector_is_closed_if_the_remote_cannot_be_opened(cards, monkeypatch, error):
+    cards("http://127.0.0.1:1")
+    local = Mock()
+    monkeypatch.setattr(factory, "make_detector", lambda *_, **__: local)
+    monkeypatch.setattr(factory, "open_detector", Mock(side_effect=error))
+    with pytest.raises(type(error)):
+        make_detector(perception(), ("chair",))
+    local.close.assert_called_once_with()
 
 
 # -- choice -----------------------------------------------------------------------------------
