@@ -116,6 +116,17 @@ def test_an_error_not_of_the_server_is_raised(server, fault):
     assert server.model.detail == ""
 
 
+@pytest.mark.parametrize("fault", [UserError("no connection"), ValueError("no image")])
+def test_after_any_failure_the_server_gets_a_pause(server, fault):
+    server.fault = UserError("no connection")
+    server.ask(1)
+    server.fault = fault
+    server.ask(2, module.MAX_PAUSE_S)
+    for item in range(3, 9):
+        server.ask(item, 0.1 * module.PAUSE_S)
+    assert server.asked == [1, 2]
+
+
 # -- detectors --------------------------------------------------------------------------------
 
 
