@@ -170,6 +170,18 @@ FAULTS = [
         "set extent_m to at most 204, or resolution_m to at least 0.123",
     ),
     (
+        {"perception": {**SIM["perception"], "confirm_hits": 51}},
+        "f.yaml: perception.confirm_hits: input should be less than or equal to 50, got 51",
+    ),
+    (
+        {"perception": {**SIM["perception"], "confirm_scores": {"couch": 0.9, "sofa": 0.1}}},
+        "f.yaml: perception.confirm_scores: couch and sofa are one name: keep one",
+    ),
+    (
+        {"perception": {"detector": {"kind": "onnx", "background": ["chair", "???"]}}},
+        "f.yaml: perception.detector.background.1: ",
+    ),
+    (
         {"mapping": {"min_range_m": 5, "range_m": 5}},
         "f.yaml: mapping: min_range_m 5: must be below range_m 5, or no measurement is used",
     ),

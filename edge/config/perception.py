@@ -8,6 +8,10 @@ from pydantic import Field, field_validator, model_validator
 
 from edge import names
 from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
+from edge.text import one_line
+
+MAX_CONFIRM_HITS = 50
+"""Largest `confirm_hits`: a track forgets old views, so it never has many more."""
 
 
 class DetectorOnnx(Section):
@@ -34,7 +38,7 @@ class DetectorOnnx(Section):
     providers: tuple[str, ...] = ("CPUExecutionProvider",)
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     vocabulary: str | None = None
-    background: tuple[str, ...] = ()
+    background: tuple[Name, ...] = ()
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
     engine_cache: str | None = None
@@ -54,7 +58,7 @@ class DetectorSim(Section):
     """
 
     kind: Literal["sim"] = "sim"
-    background: tuple[str, ...] | None = None
+    background: tuple[Name, ...] | None = None
     max_range_m: Positive = 6.0
     miss_rate: Fraction = 0.1
     false_positive_rate: Fraction = 0.005
@@ -303,7 +307,7 @@ class PerceptionConfig(Section):
     confirm_score: Fraction = 0.35
     confirm_scores: dict[Name, Fraction] = Field(default_factory=dict)
     confirm_range_m: Positive = 3.0
-    confirm_hits: Annotated[int, Field(ge=1)] = 3
+    confirm_hits: Annotated[int, Field(ge=1, le=MAX_CONFIRM_HITS)] = 3
     confirm_mean: Fraction = 0.12
     confirm_lead: Annotated[float, Field(ge=1)] = 1.5
     reject_radius_m: NonNegative = 0.6
@@ -311,7 +315,12 @@ class PerceptionConfig(Section):
     @field_validator("confirm_scores")
     @classmethod
     def _with_canonical_names(cls, scores: dict[str, float]) -> dict[str, float]:
-        return {names.canonical(word): score for word, score in scores.items()}
+        words: dict[str, str] = {}  # canonical name → word as given
+        for word in scores:
+            other = words.setdefault(names.canonical(word), word)
+            if other != word:
+                raise ValueError(f"{one_line(other)} and {one_line(word)} are one name: keep one")
+        return {name: scores[word] for name, word in words.items()}
 
     def confirm_score_of(self, name: str) -> float:
         """Return the lowest score that confirms an object of a canonical name."""
