@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 
@@ -286,6 +287,21 @@ def test_a_camera_that_is_taken_can_be_simulated(width_px, height_px, hfov_deg):
         model = simulated(data).sensors.camera.intrinsics()
         assert (model.width_px, model.height_px) == (width_px, height_px)
         assert model.hfov_rad == pytest.approx(math.radians(hfov_deg))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "mission.checkpoint", "mission.site", "perception.similarity",
+        *(f"perception.detector.{name}" for name in ("vocabulary", "engine_cache", "fallback")),
+    ],
+)  # fmt: skip
+def test_an_empty_path_or_card_is_refused(key):
+    *sections, leaf = key.split(".")
+    data = {"perception": {"detector": {"kind": "onnx"}}, "mission": {}}
+    reduce(dict.__getitem__, sections, data)[leaf] = ""
+    with pytest.raises(ConfigError, match=f"^f.yaml: {key}: string should have at least 1 char"):
+        parse(data, "f.yaml")
 
 
 @pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])

@@ -7,7 +7,16 @@ from typing import Annotated, Literal, Union
 from pydantic import Field, field_validator, model_validator
 
 from edge import names
-from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
+from edge.config.section import (
+    CardName,
+    FilePath,
+    Fraction,
+    Name,
+    NonNegative,
+    OnnxModel,
+    Positive,
+    Section,
+)
 from edge.text import one_line
 
 MAX_CONFIRM_HITS = 50
@@ -37,12 +46,12 @@ class DetectorOnnx(Section):
     model: str = "yolo-world-s-256x320-int8-cpu"
     providers: tuple[str, ...] = ("CPUExecutionProvider",)
     threads: Annotated[int, Field(ge=1, le=64)] = 2
-    vocabulary: str | None = None
+    vocabulary: FilePath | None = None
     background: tuple[Name, ...] = ()
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
-    engine_cache: str | None = None
-    fallback: str | None = None
+    engine_cache: FilePath | None = None
+    fallback: CardName | None = None
 
 
 class DetectorSim(Section):
@@ -139,7 +148,7 @@ class DegradationLevel(Section):
         pause: scorer that pauses: `similarity` or `choice`.
     """
 
-    model: str | None = None
+    model: CardName | None = None
     pause: Literal["similarity", "choice"] | None = None
 
     @model_validator(mode="after")
@@ -186,7 +195,7 @@ class ChoiceServer(Section):
     api_key_env: str = "OPENAI_API_KEY"
     time_limit_s: Positive = 5.0
     pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
-    fallback: str | None = None
+    fallback: CardName | None = None
 
 
 class ChoiceOpenai(ChoiceServer):
@@ -281,7 +290,7 @@ class PerceptionConfig(Section):
     process: ModelProcessConfig = ModelProcessConfig()
     swap: SwapConfig = SwapConfig()
     load_shedding: LoadSheddingConfig = LoadSheddingConfig()
-    similarity: str | None = None
+    similarity: CardName | None = None
     choice: Annotated[
         Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceOnnx, ChoiceCooccurrence],
         Field(discriminator="kind"),
