@@ -116,7 +116,8 @@ class ModelProcessConfig(Section):
     Attributes:
         timeout_s: a frame that takes longer counts as a hang: the process is killed. Time in
             which the process waits for a CPU core does not count, up to `timeout_s` more.
-        start_timeout_s: time to start the process and load the model.
+        start_timeout_s: longest time without progress while the process starts and loads the
+            model.
     """
 
     timeout_s: Positive = 0.8
