@@ -22,9 +22,12 @@ from onnx_text import onnx_of
 from test_perception_cards import flip_a_byte
 
 from edge.host import resources
+from edge.perception.process.child import as_memory_error
 from edge.perception.runtime import binding, cuda, engines
 from edge.perception.runtime import sessions as runtime
+from edge.perception.runtime.deadline import InferenceTimeout
 from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.health import is_out_of_memory
 from edge.perception.runtime.model_file import ModelError, fresh_sha256
 from edge.perception.runtime.sessions import ORT_TENSORRT, open_session, provider_options
 
@@ -351,3 +354,23 @@ def test_a_model_that_ran_leaves_nothing_in_the_home_folder(package, tmp_path):
     environ = {"HOME": str(tmp_path), "PATH": os.environ["PATH"]}
     subprocess.run([sys.executable, "-c", code], env=environ, check=True)
     assert [str(path) for path in tmp_path.rglob("*")] == []
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (MemoryError(), True),
+        (RuntimeError("Failed to allocate memory for requested buffer of size 9"), True),
+        (RuntimeError("CUDA could not allocate memory"), True),
+        (RuntimeError("std::bad_alloc"), True),
+        (RuntimeError("bad allocation"), True),
+        (RuntimeError("CUDA failure 2: out of memory"), True),
+        (RuntimeError("the memory of the model"), False),
+    ],
+)
+def test_a_lack_of_memory_is_known_by_its_message(error, expected):
+    assert is_out_of_memory(error) == expected
+    assert isinstance(as_memory_error(error), MemoryError) == expected
+    with pytest.raises(ModelError) as raised, InferenceTimeout("tiny").within(9.0):
+        raise error
+    assert ("out of memory (" in str(raised.value)) == expected
