@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 
@@ -170,6 +171,26 @@ FAULTS = [
         "set extent_m to at most 204, or resolution_m to at least 0.123",
     ),
     (
+        {"perception": {**SIM["perception"], "confirm_hits": 51}},
+        "f.yaml: perception.confirm_hits: input should be less than or equal to 50, got 51",
+    ),
+    (
+        {"perception": {**SIM["perception"], "confirm_scores": {"couch": 0.9, "sofa": 0.1}}},
+        "f.yaml: perception.confirm_scores: couch and sofa are one name: keep one",
+    ),
+    (
+        {"perception": {"detector": {"kind": "onnx", "background": ["chair", "???"]}}},
+        "f.yaml: perception.detector.background.1: ",
+    ),
+    (
+        {"mapping": {"min_range_m": 5, "range_m": 5}},
+        "f.yaml: mapping: min_range_m 5: must be below range_m 5, or no measurement is used",
+    ),
+    (
+        {"sensors": {"camera": {"depth_min_m": 9, "depth_max_m": 1}}},
+        "f.yaml: sensors.camera: depth_min_m 9: must be below depth_max_m 1",
+    ),
+    (
         {"mapping": {"resolution_m": 0.032}},
         "f.yaml: mapping.resolution_m: 0.032: too fine for policy.kind hvl, which counts unknown "
         "cells within 1 m: set mapping.resolution_m to at least 0.0323, or another policy.kind",
@@ -266,6 +287,21 @@ def test_a_camera_that_is_taken_can_be_simulated(width_px, height_px, hfov_deg):
         model = simulated(data).sensors.camera.intrinsics()
         assert (model.width_px, model.height_px) == (width_px, height_px)
         assert model.hfov_rad == pytest.approx(math.radians(hfov_deg))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "mission.checkpoint", "mission.site", "perception.similarity",
+        *(f"perception.detector.{name}" for name in ("vocabulary", "engine_cache", "fallback")),
+    ],
+)  # fmt: skip
+def test_an_empty_path_or_card_is_refused(key):
+    *sections, leaf = key.split(".")
+    data = {"perception": {"detector": {"kind": "onnx"}}, "mission": {}}
+    reduce(dict.__getitem__, sections, data)[leaf] = ""
+    with pytest.raises(ConfigError, match=f"^f.yaml: {key}: string should have at least 1 char"):
+        parse(data, "f.yaml")
 
 
 @pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])

@@ -95,21 +95,26 @@ def _missing(fault: Any, models: list[Any], root: type[BaseModel]) -> str:
 def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[Any]]:
     """Return the sections as the user wrote them, and the models of the last section.
 
-    pydantic adds the kind of a union after its key (`policy`, `hvl`). The file has no such level,
-    so the kind is left out. The index of a list is kept.
+    pydantic adds the kind of a union after its key (`policy`, `hvl`), or the class if the models
+    have no kind. The file has no such level, so this part is left out. The index of a list is kept.
     """
     shown: list[str] = []
     models: list[Any] = [root]
     for part in map(str, sections):
         if part.isdigit():
             shown.append(part)
-        elif len(models) > 1:  # a union: this part is its kind
-            models = [m for m in models if m.model_fields["kind"].default == part]
+        elif len(models) > 1:  # a union: this part is the kind, or the class if there is no kind
+            models = [m for m in models if part == _tag(m)]
         else:
             shown.append(part)
             fields = models[0].model_fields if models else {}
             models = models_in(fields[part].annotation) if part in fields else []
     return shown, models
+
+
+def _tag(model: Any) -> str:
+    """Return pydantic's name for one model of a union: its kind, or its class."""
+    return model.model_fields["kind"].default if "kind" in model.model_fields else model.__name__
 
 
 def models_in(annotation: Any) -> list[Any]:

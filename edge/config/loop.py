@@ -6,14 +6,13 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from edge.config.section import Positive, Section
+from edge.config.section import FilePath, Positive, Section
 from edge.host.ports import is_loopback
 from edge.text import one_line, redact
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")]
 KEY_IN_ENDPOINT = "private_key_base64"
 """Not allowed in an endpoint: Zenoh logs endpoints and shows them to all connected peers."""
-FilePath = Annotated[str, Field(min_length=1)]
 TopicName = Literal[
     "camera/rgb", "camera/depth", "camera/info", "camera2/rgb", "camera2/depth", "camera2/info",
     "lidar/points", "lidar/scan", "odom",

@@ -48,6 +48,11 @@ class MappingConfig(Section):
                 f"extent_m {self.extent_m:g}: must be at least 2 * (range_m + 2 * inflation_m) + 1 "
                 f"= {least_m:g}"
             )
+        if self.min_range_m >= self.range_m:
+            raise ValueError(
+                f"min_range_m {self.min_range_m:g}: must be below range_m {self.range_m:g}, or no "
+                "measurement is used"
+            )
         if self.extent_m / self.resolution_m > MAX_CELLS:
             finest_m = math.ceil(1000 * self.extent_m / MAX_CELLS) / 1000
             raise ValueError(

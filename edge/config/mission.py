@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import Discriminator, Field, Tag
 
-from edge.config.section import MODULE_CLASS, Name, PluginKind, Positive, Section, kind_of
+from edge.config.section import MODULE_CLASS, FilePath, Name, PluginKind, Positive, Section, kind_of
 
 SMALL_TRANSLATOR = "mini-translator"
 """Card of the small translation network."""
@@ -152,8 +152,8 @@ class MissionConfig(Section):
     ] = PlannerVitl()
     compiler: Literal["own", "spot"] = "own"
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
-    checkpoint: str | None = None
-    site: str | None = None
+    checkpoint: FilePath | None = None
+    site: FilePath | None = None
     on_request: bool = False
     search_limit_s: Positive | None = None
     time_limit_s: Positive = 300.0

@@ -7,7 +7,20 @@ from typing import Annotated, Literal, Union
 from pydantic import Field, field_validator, model_validator
 
 from edge import names
-from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
+from edge.config.section import (
+    CardName,
+    FilePath,
+    Fraction,
+    Name,
+    NonNegative,
+    OnnxModel,
+    Positive,
+    Section,
+)
+from edge.text import one_line
+
+MAX_CONFIRM_HITS = 50
+"""Largest `confirm_hits`: a track forgets old views, so it never has many more."""
 
 
 class DetectorOnnx(Section):
@@ -33,12 +46,12 @@ class DetectorOnnx(Section):
     model: str = "yolo-world-s-256x320-int8-cpu"
     providers: tuple[str, ...] = ("CPUExecutionProvider",)
     threads: Annotated[int, Field(ge=1, le=64)] = 2
-    vocabulary: str | None = None
-    background: tuple[str, ...] = ()
+    vocabulary: FilePath | None = None
+    background: tuple[Name, ...] = ()
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
-    engine_cache: str | None = None
-    fallback: str | None = None
+    engine_cache: FilePath | None = None
+    fallback: CardName | None = None
 
 
 class DetectorSim(Section):
@@ -54,7 +67,7 @@ class DetectorSim(Section):
     """
 
     kind: Literal["sim"] = "sim"
-    background: tuple[str, ...] | None = None
+    background: tuple[Name, ...] | None = None
     max_range_m: Positive = 6.0
     miss_rate: Fraction = 0.1
     false_positive_rate: Fraction = 0.005
@@ -103,7 +116,8 @@ class ModelProcessConfig(Section):
     Attributes:
         timeout_s: a frame that takes longer counts as a hang: the process is killed. Time in
             which the process waits for a CPU core does not count, up to `timeout_s` more.
-        start_timeout_s: time to start the process and load the model.
+        start_timeout_s: longest time without progress while the process starts and loads the
+            model.
     """
 
     timeout_s: Positive = 0.8
@@ -135,7 +149,7 @@ class DegradationLevel(Section):
         pause: scorer that pauses: `similarity` or `choice`.
     """
 
-    model: str | None = None
+    model: CardName | None = None
     pause: Literal["similarity", "choice"] | None = None
 
     @model_validator(mode="after")
@@ -182,7 +196,7 @@ class ChoiceServer(Section):
     api_key_env: str = "OPENAI_API_KEY"
     time_limit_s: Positive = 5.0
     pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
-    fallback: str | None = None
+    fallback: CardName | None = None
 
 
 class ChoiceOpenai(ChoiceServer):
@@ -277,7 +291,7 @@ class PerceptionConfig(Section):
     process: ModelProcessConfig = ModelProcessConfig()
     swap: SwapConfig = SwapConfig()
     load_shedding: LoadSheddingConfig = LoadSheddingConfig()
-    similarity: str | None = None
+    similarity: CardName | None = None
     choice: Annotated[
         Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceOnnx, ChoiceCooccurrence],
         Field(discriminator="kind"),
@@ -303,7 +317,7 @@ class PerceptionConfig(Section):
     confirm_score: Fraction = 0.35
     confirm_scores: dict[Name, Fraction] = Field(default_factory=dict)
     confirm_range_m: Positive = 3.0
-    confirm_hits: Annotated[int, Field(ge=1)] = 3
+    confirm_hits: Annotated[int, Field(ge=1, le=MAX_CONFIRM_HITS)] = 3
     confirm_mean: Fraction = 0.12
     confirm_lead: Annotated[float, Field(ge=1)] = 1.5
     reject_radius_m: NonNegative = 0.6
@@ -311,7 +325,12 @@ class PerceptionConfig(Section):
     @field_validator("confirm_scores")
     @classmethod
     def _with_canonical_names(cls, scores: dict[str, float]) -> dict[str, float]:
-        return {names.canonical(word): score for word, score in scores.items()}
+        words: dict[str, str] = {}  # canonical name → word as given
+        for word in scores:
+            other = words.setdefault(names.canonical(word), word)
+            if other != word:
+                raise ValueError(f"{one_line(other)} and {one_line(word)} are one name: keep one")
+        return {name: scores[word] for name, word in words.items()}
 
     def confirm_score_of(self, name: str) -> float:
         """Return the lowest score that confirms an object of a canonical name."""

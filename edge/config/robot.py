@@ -94,7 +94,11 @@ class Camera(SensorMount):
     depth_max_m: Positive = 8.0
 
     @model_validator(mode="after")
-    def _check_intrinsics(self) -> Camera:
+    def _check_camera(self) -> Camera:
+        if self.depth_min_m >= self.depth_max_m:
+            raise ValueError(
+                f"depth_min_m {self.depth_min_m:g}: must be below depth_max_m {self.depth_max_m:g}"
+            )
         try:
             self.intrinsics()
         except ValueError as error:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from edge.config.section import Section
+from edge.config.section import FilePath, Section
 
 _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 RosName = Annotated[str, Field(pattern=rf"^(/{_PART})+$", max_length=200)]
@@ -64,7 +64,7 @@ class Ros2AdapterConfig(Section):
     """
 
     python: str = "/usr/bin/python3"
-    setup: str | None = None
+    setup: FilePath | None = None
     reliable: tuple[RosTopic, ...] = ()
 
 

@@ -12,6 +12,8 @@ from edge import names
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+CardName = Annotated[str, Field(min_length=1)]
+FilePath = Annotated[str, Field(min_length=1)]
 
 
 def _check_name(text: str) -> str:

@@ -143,9 +143,10 @@ class ContactObstacles:
             again = bump.again or bool(near) or any(b.again for b in same)
             memory_ns = _MEMORY_NS if again else int(_FIRST_TOUCH_SHARE * _MEMORY_NS)
             guessed = bump.guessed.union(*(b.guessed for b in same))
-            self._close(bump._replace(until_ns=now_ns + memory_ns, guessed=guessed, again=again))
+            # Open first: `_close` may open the oldest bump, which may be one of these.
             for b in same:
                 self._open(b)
+            self._close(bump._replace(until_ns=now_ns + memory_ns, guessed=guessed, again=again))
         return bool(closed)
 
     def expire(self, now_ns: int) -> None:

@@ -148,6 +148,8 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
             not (x0 < x < x1 - 1 and y0 < y < y1 - 1)
             or not (0 < sx < n - 1 and 0 < sy < n - 1)
         ):  # fmt: skip
+            if not (x0 <= x < x1 and y0 <= y < y1):
+                continue  # the window has rolled: its storage is another place now
             _edge_offsets(cell, n, shift_x, shift_y, x0, y0, x1, y1, edge)
             offsets = edge
         for k in range(8):

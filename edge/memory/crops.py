@@ -48,6 +48,7 @@ class CropStore:
         self._lock = threading.Lock()
         self._jpeg: _Stored = {}
         self._n_bytes = 0
+        self._renamed: dict[int, int] = {}  # `rename` of pictures that wait to be encoded
         self._best: dict[int, float] = {}  # best quality so far, stored or waiting, by object id
 
     def __len__(self) -> int:
@@ -85,7 +86,11 @@ class CropStore:
         Args:
             ids: id of the known object, by id of the new one.
         """
+        if self._worker is None or self._worker.idle:
+            self._renamed.clear()
         for new, old in ids.items():
+            self._renamed.pop(old, None)
+            self._renamed[new] = old
             if (value := self._best.pop(new, None)) is not None:
                 self._best[old] = max(value, self._best.get(old, 0.0))
             with self._lock:
@@ -149,7 +154,10 @@ class CropStore:
             bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
             _, encoded = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
             with self._lock:
-                self._store(stored, object_id, (value, encoded.tobytes()))
+                while object_id in self._renamed:
+                    object_id = self._renamed[object_id]
+                if value > stored.get(object_id, (0.0, b""))[0]:
+                    self._store(stored, object_id, (value, encoded.tobytes()))
 
     def _store(self, stored: _Stored, object_id: int, picture: tuple[float, bytes] | None) -> None:
         """Store a picture as the newest, and remove the oldest ones over the limits."""

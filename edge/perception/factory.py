@@ -109,4 +109,8 @@ def _make_with_fallback(
         )  # fmt: skip
     except ModelError as error:
         raise ModelError(f"perception.detector.fallback: {error}") from None
-    return FallbackDetector(open_detector(detector, prompts, progress), made)
+    try:
+        return FallbackDetector(open_detector(detector, prompts, progress), made)
+    except Exception:
+        made.close()
+        raise

@@ -49,7 +49,7 @@ def main(make: Make = make_detector) -> int:
 
 
 def check_prompts(control: socket.socket, detector: Detector) -> None:
-    """Answer prompt checks on `control`, while `answer_images` runs."""
+    """Answer prompt checks on `control`, while `answer_image` runs."""
     while message := control.recv(wire.MAX_BYTES):
         request = read_json_object(message)
         try:

@@ -222,6 +222,18 @@ def test_no_more_are_kept_than_there_is_room_for(monkeypatch):
     assert_consistent(grid)
 
 
+def test_the_oldest_place_again_replaces_itself_when_all_room_is_used(monkeypatch):
+    monkeypatch.setattr(bumps, "_MAX_BUMPS", 3)
+    grid = seen_around()
+    for now_ns, k in enumerate((0, 1, 2, 0)):
+        bump(grid, (-1.0 + 0.5 * k, 0.5), now_ns)
+    assert [round(x, 1) for x, _ in grid.bumps.closed_m] == [-0.5, 0.0, -1.0]
+    grid.bumps.open_all()
+    look(grid, HOME, [])
+    assert grid.state_at(-1.0, 0.5) == 0
+    assert_consistent(grid)
+
+
 def doorway() -> list[twins.Box]:
     """Return a wall across at x = 1 with a gap of 0.6 m."""
     return [(1.0, 0.3, 0.0, 1.1, 3.0, 2.5), (1.0, -3.0, 0.0, 1.1, -0.3, 2.5)]

@@ -13,8 +13,11 @@ from hypothesis import strategies as st
 from mapping_twins import SMALL, complete, look, room, seen_around
 
 from edge.geometry import SE2
+from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 from edge.mapping.reach_kernels import DIAGONAL, STRAIGHT
+from edge.mapping.travel_cost import TravelCostField
+from edge.mapping.window import Window
 
 
 def explored(seed: int, per_tick: int = 12000) -> tuple[RollingMap, SE2]:
@@ -114,6 +117,26 @@ def test_travel_costs_survive_a_rolled_window():
     assert grid.travel_cost.distance_m(2.0 + grid.window.n * grid.resolution_m, 0.0) == math.inf
     complete(grid, SE2(x, 0, 0))
     assert grid.travel_cost.distance_m(x - 1.0, 0.0) == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_roll_during_growth_does_not_lead_across_the_seam():
+    n, dropped = 256, 64
+    layers, window = ly.make_layers(n), Window(n, 1.0)
+    window.placed, window.origin = True, (0, 0)
+    layers.raw[:, :150] = layers.raw[:, 230:] = ly.FREE  # two areas; nothing is known between them
+    for x in np.flatnonzero(layers.raw[0]):
+        layers.known[:, x // ly.WORD] |= np.uint64(1 << (int(x) % ly.WORD))
+    field = TravelCostField(layers, window, 2.0, ly.disc_half_widths(1.0), per_tick=400)
+    pose = SE2(100.5, 128.5, 0.0)
+    while not (field._waves[1].distance[:, 0] > 0).any():
+        field.step(pose)
+    assert field.generation == 0
+    layers.raw[:, :dropped], layers.known[:, : dropped // ly.WORD] = 0, 0
+    window.origin = (dropped, 0)
+    while field.generation == 0:
+        field.step(pose)
+    assert field.distance_m(140.5, 128.5) == 40.0
+    assert field.distance_m(240.5, 128.5) == math.inf
 
 
 def test_many_path_lengths_agree_with_single_ones():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import cv2
 import numpy as np
@@ -84,6 +85,28 @@ def test_the_better_of_two_pictures_of_an_object_stays(store):
     assert color_of(store.get(1)) == pytest.approx(RED, abs=12)
     store.observe([seen(1, 0.2)], image(BLUE))
     assert color_of(store.get(1)) == pytest.approx(RED, abs=12)
+
+
+@pytest.mark.parametrize(("known", "color"), [(0.7, BLUE), (1.0, RED)])
+def test_a_picture_of_a_renamed_object_is_stored_under_its_new_id(monkeypatch, known, color):
+    store, allowed, encode = CropStore(), threading.Event(), cv2.imencode
+    store.load_state_dict(stored_picture(1, known))
+    monkeypatch.setattr(crops.cv2, "imencode", lambda *args: allowed.wait(5.0) and encode(*args))
+    store.observe([seen(9)], image(BLUE))
+    store.rename({9: 4})
+    store.rename({4: 1})
+    allowed.set()
+    while not store._worker.idle:
+        time.sleep(0.01)
+    assert len(store) == 1
+    assert color_of(store.get(1)) == pytest.approx(color, abs=12)
+    store.close()
+
+
+def stored_picture(id, score):
+    store = CropStore(inline=True)
+    store.observe([seen(id, score)], image())
+    return store.state_dict()
 
 
 @pytest.mark.parametrize(("limit", "value"), [("MAX_CROPS", 2), ("MAX_CROP_BYTES", 1500)])

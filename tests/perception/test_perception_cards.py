@@ -127,6 +127,7 @@ def test_a_card_loads_only_for_its_own_task(place, tmp_path, task):
         ("detect", {"sources": [{**CARD["sources"][0], "url": "http://[bad"}]}, "sources.0.url: "),
         ("image", {"input": {"height": 224}}, "input.width: missing"),
         ("image", {"measured": {"here": [1]}}, "measured.here: "),
+        ("detect", {"task": "marks", "parity": {"reference": "x"}}, "parity.inputs: missing"),
         (
             "similarity",
             {"detector": None},

@@ -221,7 +221,7 @@ def gpu(monkeypatch):
     fake = FakeTensorrt(FakeCuda())
     monkeypatch.setitem(sys.modules, "tensorrt", fake)
     monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
-    monkeypatch.setattr(engines, "gpu_of", lambda device_id: ("Fake Orin", "8.7"))
+    monkeypatch.setattr(engines, "gpu_of", lambda *_: ("Fake Orin", "8.7"))
     return fake
 
 
@@ -252,7 +252,7 @@ def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(
     gpu.__version__ = "10.16.1"
     open_tiny()
     assert len(gpu.built) == 2
-    monkeypatch.setattr(engines, "gpu_of", lambda device_id: ("Fake Thor", "8.7"))
+    monkeypatch.setattr(engines, "gpu_of", lambda *_: ("Fake Thor", "8.7"))
     open_tiny()
     assert len(gpu.built) == 3
     monkeypatch.setattr(tensorrt, "RECIPE", 0)

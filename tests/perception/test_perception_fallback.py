@@ -6,6 +6,7 @@ import logging
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import onnxruntime
@@ -18,6 +19,7 @@ from patience import PATIENCE_S, eventually
 
 from edge.config import ChoiceOpenai, ChoiceText, DetectorOnnx, PerceptionConfig
 from edge.errors import UserError
+from edge.perception import factory
 from edge.perception.detection.fallback import FallbackDetector
 from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
@@ -114,6 +116,17 @@ def test_an_error_not_of_the_server_is_raised(server, fault):
     assert server.model.detail == ""
 
 
+@pytest.mark.parametrize("fault", [UserError("no connection"), ValueError("no image")])
+def test_after_any_failure_the_server_gets_a_pause(server, fault):
+    server.fault = UserError("no connection")
+    server.ask(1)
+    server.fault = fault
+    server.ask(2, module.MAX_PAUSE_S)
+    for item in range(3, 9):
+        server.ask(item, 0.1 * module.PAUSE_S)
+    assert server.asked == [1, 2]
+
+
 # -- detectors --------------------------------------------------------------------------------
 
 
@@ -175,6 +188,17 @@ def test_a_fallback_on_a_server_is_refused(cards):
     says = r"^perception\.detector\.fallback: model far runs on a server; name one of this[^\n]*$"
     with pytest.raises(ModelError, match=says):
         make_detector(perception("far"), ("chair",))
+
+
+@pytest.mark.parametrize("error", [PromptError("no"), ModelError("no"), RuntimeError("no")])
+def test_the_local_detector_is_closed_if_the_remote_cannot_be_opened(cards, monkeypatch, error):
+    cards("http://127.0.0.1:1")
+    local = Mock()
+    monkeypatch.setattr(factory, "make_detector", lambda *_, **__: local)
+    monkeypatch.setattr(factory, "open_detector", Mock(side_effect=error))
+    with pytest.raises(type(error)):
+        make_detector(perception(), ("chair",))
+    local.close.assert_called_once_with()
 
 
 # -- choice -----------------------------------------------------------------------------------

@@ -103,7 +103,7 @@ def scorer_of(monkeypatch, session, dim: int = 64) -> MarkScorer:
         input=SimpleNamespace(height=HW[0], width=HW[1]),
     )  # fmt: skip
     monkeypatch.setattr(mark_scorer, "verify_model", lambda card, believe_cache: None)
-    monkeypatch.setattr(mark_scorer, "open_session", lambda *_: session)
+    monkeypatch.setattr(mark_scorer, "open_onnxruntime_session", lambda *_: session)
     network = MarkNetwork(card, FakeText(), ("CPUExecutionProvider",), 1)
     return MarkScorer(card, network, PATIENCE_S)
 

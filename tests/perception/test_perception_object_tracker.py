@@ -11,7 +11,7 @@ from edge import config
 from edge.geometry import invert, se3, to_optical
 from edge.perception.tracking import object_kernels as kernels
 from edge.perception.tracking.look_kernels import NO_DEPTH
-from edge.perception.tracking.object_tracker import ObjectTracker
+from edge.perception.tracking.object_tracker import ObjectTracker, ObservedObject
 from edge.perception.tracking.place_index import CELL_M, make_index, rebuild
 
 NEAR, FAR = 2.0, 5.0
@@ -153,6 +153,34 @@ def test_the_newest_image_shows_these_objects(scene):
     assert {one.id for one in s.tracker.observed} == set(s.seen.id[:2].tolist())
     s.see()
     assert s.tracker.observed == []
+
+
+@pytest.mark.parametrize("older_row", [0, 1])
+def test_two_rows_that_are_one_object_keep_the_older_identity(scene, older_row):
+    s = scene().see(("chair", NEAR, 0.5, 0.8), ("chair", FAR, -2.0, 0.8))
+    rows = s.tracker._objects
+    rows.id[older_row], rows.id[1 - older_row] = 7, 9
+    rows.moves[older_row], rows.came_from_m[older_row] = 2, (4.0, 1.0)
+    rows.xyz_m[1] = rows.xyz_m[0]  # the centres have come together
+    s.tracker._place(1)
+    s.see(("chair", NEAR, 0.5, 0.8))
+    assert (s.seen.n, s.seen.id[0], s.seen.moves[0]) == (1, 7, 2)
+    assert s.seen.came_from_m[0].tolist() == [4.0, 1.0]
+    assert s.tracker.moved.renamed == {9: 7}
+    assert [one.id for one in s.tracker.observed] == [7]
+
+
+@pytest.mark.parametrize(
+    ("renamed", "ids"),
+    [({}, [9, 5, 3]), ({9: 7}, [7, 5, 3]), ({9: 5, 5: 2}, [2, 3]), ({4: 1}, [9, 5, 3])],
+)
+def test_observed_objects_have_the_ids_of_their_rows(scene, renamed, ids):
+    tracker = scene().tracker
+    tracker.observed = [ObservedObject(i, np.zeros(4, np.float32), 0.1 * i) for i in (9, 5, 3)]
+    tracker.moved.renamed = renamed
+    tracker._rename_observed()
+    assert [one.id for one in tracker.observed] == ids
+    assert tracker.observed[0].score == pytest.approx(0.9)
 
 
 def test_ids_continue_after_everything_is_forgotten(scene):

@@ -288,6 +288,14 @@ def test_prompts_refused_later_raise_in_detect(make, seen, monkeypatch):
     assert detector.detect(seen()).prompts == ("sofa",)
 
 
+def test_a_check_of_prompts_ends_with_its_process(make, monkeypatch):
+    detector, received = make(), []
+    with monkeypatch.context() as closed:
+        closed.setattr(link, "_receive", lambda channel: received.append(channel) or b"")
+        assert not detector._link.check(["sofa"], 0.2)
+    assert len(received) == 1
+
+
 def test_ends_between_images_are_noticed_and_too_many_are_degraded(make, seen, caplog, once):
     detector = make()
     pid = pid_of(detector)

@@ -22,9 +22,12 @@ from onnx_text import onnx_of
 from test_perception_cards import flip_a_byte
 
 from edge.host import resources
+from edge.perception.process.child import as_memory_error
 from edge.perception.runtime import binding, cuda, engines
 from edge.perception.runtime import sessions as runtime
+from edge.perception.runtime.deadline import InferenceTimeout
 from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.health import is_out_of_memory
 from edge.perception.runtime.model_file import ModelError, fresh_sha256
 from edge.perception.runtime.sessions import ORT_TENSORRT, open_session, provider_options
 
@@ -150,8 +153,8 @@ def fake_ort(monkeypatch):
     """Install a fake onnxruntime on a machine that appears to have TensorRT and a GPU."""
     fake = FakeOrt()
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", fake)
-    monkeypatch.setattr(runtime, "tensorrt_version", lambda: "10.3.0")
-    monkeypatch.setattr(engines, "gpu_of", lambda device_id: ("Orin", "8.7"))
+    monkeypatch.setattr(runtime, "tensorrt_version", lambda key: "10.3.0")
+    monkeypatch.setattr(engines, "gpu_of", lambda *_: ("Orin", "8.7"))
     return fake
 
 
@@ -169,7 +172,7 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, m
     open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
     assert fake_ort.sessions[2:] == [(folder, kept)]
     assert len(told) == 1
-    orin_nx = lambda device_id: ("Orin NX", "8.7")  # noqa: E731
+    orin_nx = lambda *_: ("Orin NX", "8.7")  # noqa: E731
     for module, name, other in ((engines, "gpu_of", orin_nx), (runtime, "RECIPE", 0)):
         monkeypatch.setattr(module, name, other)
         open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
@@ -210,8 +213,27 @@ def test_a_missing_driver_or_gpu_is_an_error(monkeypatch):
         cuda.gpu_of(0)
     broken = SimpleNamespace(cuInit=lambda flags: 100)
     monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: broken)
-    with pytest.raises(ModelError, match="no GPU 3"):
+    with pytest.raises(ModelError, match=r"^perception\.detector\.device_id: no GPU 3"):
         cuda.gpu_of(3)
+
+
+@pytest.mark.parametrize("section", ["perception.segmenter", "tasks.ground", "perception.choice"])
+def test_messages_name_the_section_of_the_model(tmp_path, monkeypatch, section):
+    options = replace(engine(), section=section, cache=tmp_path)
+    (tmp_path / "tiny.onnx").write_bytes(b"model")
+    for providers in (["tensorrt"], ["NoSuchProvider"], []):
+        with pytest.raises(ModelError, match=f"^{section}.providers: "):
+            runtime.open_onnxruntime_session(tmp_path / "tiny.onnx", providers, 1, 0, options)
+    monkeypatch.setattr(ort, "get_available_providers", lambda: [ORT_TENSORRT, CPU])
+    monkeypatch.setattr(runtime, "tensorrt_version", lambda key: "10.3.0")
+    driver = SimpleNamespace(cuInit=lambda flags: 100)
+    monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: driver)
+    with pytest.raises(ModelError, match=f"^{section}.device_id: no GPU 0"):
+        open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
+    monkeypatch.setattr(engines, "gpu_of", lambda *_: ("Orin", "8.7"))
+    options = replace(options, cache=tmp_path / "tiny.onnx")  # a file, not a folder
+    with pytest.raises(ModelError, match="make it writable, or set EDGE_CACHE_DIR"):
+        open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
 
 
 def test_a_gpu_is_asked_for_its_name_and_capability(monkeypatch):
@@ -332,3 +354,23 @@ def test_a_model_that_ran_leaves_nothing_in_the_home_folder(package, tmp_path):
     environ = {"HOME": str(tmp_path), "PATH": os.environ["PATH"]}
     subprocess.run([sys.executable, "-c", code], env=environ, check=True)
     assert [str(path) for path in tmp_path.rglob("*")] == []
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (MemoryError(), True),
+        (RuntimeError("Failed to allocate memory for requested buffer of size 9"), True),
+        (RuntimeError("CUDA could not allocate memory"), True),
+        (RuntimeError("std::bad_alloc"), True),
+        (RuntimeError("bad allocation"), True),
+        (RuntimeError("CUDA failure 2: out of memory"), True),
+        (RuntimeError("the memory of the model"), False),
+    ],
+)
+def test_a_lack_of_memory_is_known_by_its_message(error, expected):
+    assert is_out_of_memory(error) == expected
+    assert isinstance(as_memory_error(error), MemoryError) == expected
+    with pytest.raises(ModelError) as raised, InferenceTimeout("tiny").within(9.0):
+        raise error
+    assert ("out of memory (" in str(raised.value)) == expected

@@ -294,6 +294,32 @@ def test_no_images_no_swap_and_the_wait_for_them_ends(bench, monkeypatch):
     eventually(lambda: b.new.closed)
 
 
+def test_a_probation_without_images_ends(bench):
+    b = bench()
+    b.swapper.request("new", False, 0)
+    b.until("on probation")
+    start_ns = 10**9
+    for at_s, state in ((0, "on probation"), (59, "on probation"), (61, "rolled back")):
+        b.swapper.step(start_ns + at_s * 10**9)
+        assert b.swapper.state == state
+    assert b.said[-1] == "model new: rolled back: no images for 60 s; old runs again"
+    assert b.worker.detector is b.old
+
+
+@pytest.mark.parametrize("gap_s", [59, 30])
+def test_a_probation_with_rare_images_goes_on(bench, gap_s):
+    b = bench()
+    b.swapper.request("new", False, 0)
+    b.until("on probation")
+    now_ns = b.seq
+    while b.swapper.state == "on probation":
+        b.worker.submit(b.frame())
+        eventually(lambda: b.worker.idle)
+        b.swapper.step(now_ns)
+        now_ns += gap_s * 10**9
+    assert b.swapper.state == "kept"
+
+
 def test_observations_without_an_image_are_not_held_against_a_model(bench, make_observation):
     b = bench()
     b.swapper.request("new", False, 0)

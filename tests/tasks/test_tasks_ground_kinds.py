@@ -65,6 +65,12 @@ def test_an_unsuitable_card_is_an_error_of_one_line(put, changes, message):
     assert "\n" not in str(raised.value)
 
 
+def test_tensorrt_by_itself_is_refused(put):
+    settings = put().model_copy(update={"providers": ("tensorrt",)})
+    with pytest.raises(ModelError, match=r"^tasks\.ground\.providers: .tensorrt. runs only"):
+        GroundClassifier(settings)
+
+
 def test_a_configuration_is_checked_before_it_runs(put):
     settings = config.Config.model_validate(
         {"perception": {"detector": {"kind": "sim"}}, "tasks": {"ground": put().model_dump()}}

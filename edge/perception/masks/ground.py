@@ -13,10 +13,9 @@ from edge import config
 from edge.perception.runtime.card_types import GroundCard
 from edge.perception.runtime.cards import ModelError, load_card_of, verify_model
 from edge.perception.runtime.engines import EngineOptions
-from edge.perception.runtime.sessions import open_session, raise_as_model_error
+from edge.perception.runtime.sessions import open_onnxruntime_session, raise_as_model_error
 from edge.text import one_line
 
-_KEY = "tasks.ground.providers"  # configuration key, for messages
 _LONGEST_ERROR = 300  # characters
 
 
@@ -38,9 +37,9 @@ class GroundClassifier:
         self.settings, self.last_error = settings, ""
         self._card = card = load_card_of(GroundCard, settings.model)
         self.name, self.kinds = card.name, tuple(dict.fromkeys(card.ground.values()))
-        self._session = open_session(
+        self._session = open_onnxruntime_session(
             verify_model(card, believe_cache=True), settings.providers, settings.threads,
-            settings.device_id, EngineOptions(card.name, card.precision, {}), key=_KEY,
+            settings.device_id, EngineOptions(card.name, card.precision, section="tasks.ground"),
         )  # fmt: skip
         self._input = self._session.get_inputs()[0].name
         # By class: index into `kinds` plus 1; 0: no ground.

@@ -31,10 +31,9 @@ from edge.perception.runtime.card_types import SegmentCard
 from edge.perception.runtime.cards import ModelError, load_card_of, verify_model
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.onnx_file import MASK_OUTPUTS, PROMPTS
-from edge.perception.runtime.sessions import DTYPES, TENSORRT, open_session, raise_as_model_error
+from edge.perception.runtime.sessions import DTYPES, open_onnxruntime_session, raise_as_model_error
 from edge.types import MASK_SIDE
 
-_KEY = "perception.segmenter.providers"  # configuration key, for messages
 _BOX_LABELS = np.array([[2.0, 3.0]], np.float32)
 """SAM's labels of a box's upper left and lower right corner."""
 
@@ -51,16 +50,12 @@ class SamSegmenter:
     def __init__(self, settings: config.SegmenterOnnx) -> None:
         self.card = card = load_card_of(SegmentCard, settings.model)
         self.name = card.name
-        if TENSORRT in settings.providers:
-            raise ModelError(
-                f"{_KEY}: {TENSORRT!r} runs only detectors; name onnxruntime's "
-                "TensorrtExecutionProvider instead"
-            )
         prompts = {"point_coords": ((1, 2, 2),) * 3, "point_labels": ((1, 2),) * 3}
         self._encoder, self._decoder = (
-            open_session(
+            open_onnxruntime_session(
                 verify_model(part, believe_cache=True), settings.providers, settings.threads,
-                settings.device_id, EngineOptions(card.name, card.precision, shapes), key=_KEY,
+                settings.device_id,
+                EngineOptions(card.name, card.precision, shapes, section="perception.segmenter"),
             )
             for part, shapes in zip(card.files, ({}, prompts), strict=True)
         )  # fmt: skip

@@ -19,6 +19,7 @@ from edge import logs
 from edge.host.signals import show_stacks_on_signals
 from edge.perception.process import wire
 from edge.perception.process.wire import FrameView
+from edge.perception.runtime.health import is_out_of_memory
 from edge.text import read_json_object
 
 log = logging.getLogger(__name__)
@@ -31,8 +32,6 @@ Load = Callable[[dict[str, Any], socket.socket], Answer]
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 # If memory runs out, the kernel kills this process first, because the robot can go on without it.
 _OOM_SCORE_ADJ = "1000"
-# Parts of messages by which onnxruntime and CUDA report a lack of memory.
-_NO_MEMORY = ("failed to allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
 def run_child(load: Load) -> int:
@@ -91,5 +90,4 @@ def as_memory_error(error: Exception) -> Exception:
 
     Other errors are returned as they are.
     """
-    text = str(error).lower()
-    return MemoryError(str(error)) if any(sign in text for sign in _NO_MEMORY) else error
+    return MemoryError(str(error)) if is_out_of_memory(error) else error

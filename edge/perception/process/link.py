@@ -233,7 +233,9 @@ class ModelProcessClient:
             while header.get("id") != number:
                 if self._ended.is_set() or time.monotonic() >= deadline_s:
                     return False
-                if message := _receive(self._control):
+                if (message := _receive(self._control)) == b"":  # the process ends
+                    return False
+                if message is not None:
                     try:
                         header = read_json_object(message)
                     except ValueError as error:  # not the fault of the prompts

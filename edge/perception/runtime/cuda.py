@@ -131,10 +131,11 @@ def _free_with(owner: object, free: Callable[[Any], object], resource: Any) -> N
     weakref.finalize(owner, free, resource).atexit = False
 
 
-def gpu_of(device_id: int) -> tuple[str, str]:
+def gpu_of(device_id: int, section: str = "perception.detector") -> tuple[str, str]:
     """Return a GPU's name and compute capability, such as `Orin` and `8.7`, from the driver.
 
-    The driver is asked because onnxruntime does not report them.
+    The driver is asked because onnxruntime does not report them. `section` is that of the
+    configuration with the number, for messages.
 
     Raises:
         ModelError: no driver or no such GPU.
@@ -143,12 +144,12 @@ def gpu_of(device_id: int) -> tuple[str, str]:
         cuda = ctypes.CDLL("libcuda.so.1")
     except OSError:
         raise ModelError(
-            "no CUDA driver (libcuda.so.1): choose other perception.detector.providers"
+            f"no CUDA driver (libcuda.so.1): choose other {section}.providers"
         ) from None
     device = ctypes.c_int()
     failed = cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), device_id)
     if failed:
-        raise ModelError(f"perception.detector.device_id: no GPU {device_id} (CUDA error {failed})")
+        raise ModelError(f"{section}.device_id: no GPU {device_id} (CUDA error {failed})")
     name, value, capability = ctypes.create_string_buffer(256), ctypes.c_int(), []
     cuda.cuDeviceGetName(name, len(name), device)
     for attribute in _CAPABILITY:

@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from edge.perception.runtime.health import is_out_of_memory
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import short_reason
 
 FIRST_RUN_S = 600.0
 """Time limit for a model's first run, which may build engines; for callers of `within`."""
-# Parts of messages by which onnxruntime and CUDA report a lack of memory.
-_NO_MEMORY = ("allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
 class InferenceTimeout:
@@ -50,12 +49,11 @@ class InferenceTimeout:
         except ModelError:
             raise
         except Exception as error:  # onnxruntime raises many types
-            text = str(error)
             if self._ended:
                 why = "aborted: the model was closed"
             elif options.terminate:
                 why = f"no answer within {seconds:g} s (perception.choice.time_limit_s)"
-            elif isinstance(error, MemoryError) or any(s in text.lower() for s in _NO_MEMORY):
+            elif is_out_of_memory(error):
                 why = f"out of memory ({short_reason(error)}): take a smaller variant"
             else:
                 why = f"it fails: {short_reason(error)}"

@@ -42,6 +42,8 @@ MIN_FREE_BYTES = 256 << 20
 """Least free disk space for a build: enough for the models here, with a reserve."""
 REPORT_PERIOD_S = 5.0
 """Period of progress reports during a build."""
+DETECTOR = "perception.detector"
+"""Section of the configuration with `engine_cache`."""
 _MANIFEST = "engine.json"
 _MODE = 0o755  # of an engine's folder: mkdtemp's mode would exclude other users of the cache
 _FIRST = "this takes minutes the first time"  # progress text before the builder reports any
@@ -62,6 +64,7 @@ class EngineOptions:
         cache: folder for engines; None: `engines` in the service's cache.
         progress: called during a build.
         sha256: expected hash of the file; None: its hash at the last check.
+        section: section of the configuration that names the model, for messages.
     """
 
     model: str
@@ -70,10 +73,16 @@ class EngineOptions:
     cache: Path | None = None
     progress: ProgressCallback = log_progress
     sha256: str | None = None
+    section: str = DETECTOR
 
     @property
     def folder(self) -> Path:
         return self.cache or resources.cache_dir() / "engines"
+
+    @property
+    def cache_key(self) -> str:
+        """Return the key or variable that sets the folder, for messages."""
+        return f"{DETECTOR}.engine_cache" if self.section == DETECTOR else "EDGE_CACHE_DIR"
 
 
 def cached_engine(
@@ -98,7 +107,7 @@ def cached_engine(
         ModelError: there is no GPU, the file is damaged, or the cache cannot be used.
     """
     sha256 = options.sha256 or remembered_sha256(path)
-    gpu, capability = gpu_of(device_id)
+    gpu, capability = gpu_of(device_id, options.section)
     key = {
         "model": options.model,
         "sha256": sha256,
@@ -114,7 +123,9 @@ def cached_engine(
         with report_progress(options.model, options.progress) as note:
             build(folder, note)
 
-    return get_or_build(key, options.folder, build_with_progress, options.progress)
+    return get_or_build(
+        key, options.folder, build_with_progress, options.progress, options.cache_key
+    )
 
 
 @contextlib.contextmanager
@@ -161,9 +172,15 @@ def folder_name(key: Key) -> str:
 
 
 def get_or_build(
-    key: Key, cache: Path, build: Callable[[Path], None], progress: ProgressCallback
+    key: Key,
+    cache: Path,
+    build: Callable[[Path], None],
+    progress: ProgressCallback,
+    cache_key: str = f"{DETECTOR}.engine_cache",
 ) -> Path:
     """Return the folder of an engine, readable for every user; build it if it is missing.
+
+    `cache_key` is the key or variable that sets `cache`, for messages.
 
     Raises:
         ModelError: the cache cannot be used; nothing was built then.
@@ -172,14 +189,14 @@ def get_or_build(
     folder = cache / name
     if damage(folder) is None:  # also works in a read-only cache
         return folder
-    check_usable(cache)
+    check_usable(cache, cache_key)
     with _locked(cache / f"{name}.lock", progress):
         if folder.exists():
             fault = damage(folder)
             if fault is None:
                 return folder
             log.warning("engine %s: %s; the engine is built again", folder, fault)
-            _remove(folder, fault)
+            _remove(folder, fault, cache_key)
         for left_over in cache.glob(f".{name}.*"):  # of a build that was killed
             shutil.rmtree(left_over, ignore_errors=True)
         made = Path(tempfile.mkdtemp(dir=cache, prefix=f".{name}."))
@@ -191,26 +208,26 @@ def get_or_build(
         except OSError as error:
             raise ModelError(
                 f"{cache}: the engine cannot be saved ({error.strerror or error}); free some disk "
-                "space, or set perception.detector.engine_cache"
+                f"space, or set {cache_key}"
             ) from None
         finally:
             shutil.rmtree(made, ignore_errors=True)
     return folder
 
 
-def _remove(folder: Path, fault: str) -> None:
+def _remove(folder: Path, fault: str, cache_key: str) -> None:
     """Remove a damaged engine; raise ModelError if that is not allowed."""
     shutil.rmtree(folder, ignore_errors=True)
     if folder.exists():
         raise ModelError(
             f"{folder}: the engine is unusable ({fault}), and this user cannot remove the folder; "
-            "remove it as its owner, or set perception.detector.engine_cache"
+            f"remove it as its owner, or set {cache_key}"
         )
 
 
-def check_usable(cache: Path) -> None:
+def check_usable(cache: Path, cache_key: str) -> None:
     """Raise ModelError unless `cache` is writable with enough space, before a build of minutes."""
-    todo = "make it writable, or set perception.detector.engine_cache"
+    todo = f"make it writable, or set {cache_key}"
     try:
         make_writable(cache)
         free = shutil.disk_usage(cache).free
@@ -220,7 +237,7 @@ def check_usable(cache: Path) -> None:
     if free < MIN_FREE_BYTES:
         raise ModelError(
             f"{cache}: {free >> 20} MB free, an engine may need {MIN_FREE_BYTES >> 20} MB; "
-            "free some disk space, or set perception.detector.engine_cache"
+            f"free some disk space, or set {cache_key}"
         )
 
 

@@ -97,8 +97,10 @@ class FallbackModel(Generic[Item, Result]):
         """Ask the server in the background; if it answers, it gets the next item."""
         try:
             self._ask_server(item)
-        except UserError:
+        except Exception as error:
             self._next_s = self._clock() + PAUSE_S
+            if not isinstance(error, UserError):  # the worker counts and logs it
+                raise
             return
         finally:
             self._release(item)

@@ -40,6 +40,16 @@ def log_progress(health: ModelHealth) -> None:
     log.info("%s: %s", health.state, health.detail)
 
 
+# Parts of messages by which onnxruntime and CUDA report a lack of memory.
+_NO_MEMORY = ("allocate memory", "bad_alloc", "bad allocation", "out of memory")
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Return True if an error of Python, onnxruntime or CUDA reports a lack of memory."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or any(sign in text for sign in _NO_MEMORY)
+
+
 def invalid_boxes_reason(
     xyxy_px: np.ndarray, score: np.ndarray, competing_score: np.ndarray | None = None
 ) -> str:

@@ -46,7 +46,7 @@ def open_session(
     threads: int,
     device_id: int = 0,
     engine: EngineOptions | None = None,
-    key: str = "perception.detector.providers",
+    key: str | None = None,
 ) -> Any:
     """Open a session that runs on exactly the named providers.
 
@@ -60,12 +60,13 @@ def open_session(
         device_id: number of the GPU.
         engine: options of the model for TensorRT, not used by other providers; by default an `fp32`
             model of fixed shapes.
-        key: configuration key of the providers, for messages.
+        key: configuration key of the providers, for messages; None: that in the engine's section.
 
     Raises:
         ModelError: a package or provider is missing, or the file is no model.
     """
     engine = engine or EngineOptions(path.stem, "fp32")
+    key = key or f"{engine.section}.providers"
     if engine.precision == "int8-cpu" and TENSORRT_PROVIDERS.intersection(providers):
         raise ModelError(
             f"model {engine.model}: quantized for CPUs (int8-cpu, asymmetric), which TensorRT "
@@ -75,6 +76,23 @@ def open_session(
     if TENSORRT in providers:
         return tensorrt.open_engine(path, device_id, engine)
     return _open_onnxruntime(path, providers, threads, device_id, engine, key)
+
+
+def open_onnxruntime_session(
+    path: Path, providers: Sequence[str], threads: int, device_id: int, engine: EngineOptions
+) -> Any:
+    """Open a session of onnxruntime; see `open_session`.
+
+    Raises:
+        ModelError: see `open_session`; also if the provider is `tensorrt`, which has no session of
+            onnxruntime.
+    """
+    if TENSORRT in providers:
+        raise ModelError(
+            f"{engine.section}.providers: {TENSORRT!r} runs only detectors; name onnxruntime's "
+            f"{ORT_TENSORRT} instead"
+        )
+    return open_session(path, providers, threads, device_id, engine)
 
 
 def check_providers(providers: Sequence[str], key: str, ask_onnxruntime: bool = True) -> None:
@@ -149,7 +167,7 @@ def _open_onnxruntime(
         lambda folder, _: load(folder),
         device_id,
         builder=f"onnxruntime {ort.__version__}",
-        tensorrt=tensorrt_version(),
+        tensorrt=tensorrt_version(key),
         recipe=RECIPE,
     )
     return load(built)
@@ -230,10 +248,11 @@ def provider_options(
     return options
 
 
-def tensorrt_version() -> str:
+def tensorrt_version(key: str) -> str:
     """Return the version of TensorRT that onnxruntime will load.
 
-    The version comes from Python's package, else from the library.
+    The version comes from Python's package, else from the library. `key` is the configuration key
+    of the providers, for messages.
 
     Raises:
         ModelError: TensorRT is not installed.
@@ -247,7 +266,4 @@ def tensorrt_version() -> str:
             return str(ctypes.CDLL(name).getInferLibVersion())
         except (OSError, AttributeError):
             continue
-    raise ModelError(
-        "TensorRT's libnvinfer is not found: install TensorRT, or choose other "
-        "perception.detector.providers"
-    )
+    raise ModelError(f"TensorRT's libnvinfer is not found: install TensorRT, or choose other {key}")

@@ -34,6 +34,7 @@ Make = Callable[..., Detector]
 """Called like `make_detector`."""
 
 IMAGES = 4  # images of a trial
+NO_IMAGES_S = 60.0  # a probation without images for this time has failed
 _APART_NS = 200_000_000  # least time between two images of a trial
 
 
@@ -55,6 +56,12 @@ class DetectorSwap(ModelSwap[Detector]):
     ) -> None:
         super().__init__(worker, report, clock)
         self.perception, self._make = perception, make
+
+    def step(self, now_ns: int = 0, *, idle: bool = False) -> None:
+        """See `ModelSwap.step`; a probation without images ends."""
+        if isinstance(self._attempt, _DetectorAttempt):
+            self._attempt.check_images(now_ns)
+        super().step(now_ns, idle=idle)
 
     def request(
         self, model: str, force: bool, now_ns: int, perception: PerceptionConfig | None = None
@@ -101,6 +108,7 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         self.perception, self._force, self._make = perception, force, make
         self._samples = deque(maxlen=IMAGES)
         self._latencies_ns: list[int] = []  # of the images of the probation
+        self._n_noted, self._noted_ns = -1, 0  # images of the probation, and when they changed
         self._invalid_before = 0  # invalid boxes before the probation
         self._lock = threading.Lock()  # guards the model's prompts and `switched`
 
@@ -136,10 +144,19 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         self._samples.clear()
         super().end()
 
+    def check_images(self, now_ns: int) -> None:
+        """Set `fault` if the probation has got no image for `NO_IMAGES_S`, on the loop's clock."""
+        if not self.switched:
+            return
+        if (n := len(self._latencies_ns)) != self._n_noted:
+            self._n_noted, self._noted_ns = n, now_ns
+        elif now_ns - self._noted_ns > NO_IMAGES_S * 1e9:
+            self.fault = self.fault or f"no images for {NO_IMAGES_S:g} s"
+
     def verdict(self, idle: bool) -> str:
         """Return the result of the probation; "" while it lasts. If it failed, set `fault`.
 
-        `idle` is ignored, since a camera always sends more images.
+        `idle` is ignored: a camera sends more images, or `check_images` ends the probation.
         """
         swap, health = self.perception.swap, self.model.health()
         if health.state in ("restarting", "degraded"):

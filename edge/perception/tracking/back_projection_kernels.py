@@ -1,4 +1,4 @@
-"""Kernels that back-project boxes to points in space, for `lift.BackProjector`. Arrays only.
+"""Kernels of `back_projection.BackProjector`: boxes to points in space. Arrays only.
 
 A box is sampled at a grid of pixels. Samples of the floor and of other boxes' objects are dropped.
 The rest is split into surfaces by depth, and the surface that fits the box best is the object's.
@@ -313,7 +313,7 @@ def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
 def back_project_boxes(
     view, boxes, masks, word, T_map_camera, floor_z, max_range, min_points, scratch, out
 ):
-    """Back-project every box; see `lift.BackProjector`.
+    """Back-project every box; see `back_projection.BackProjector`.
 
     Two boxes may choose the same surface if one object hides much of the other. The box that fits
     the surface best keeps it. The other box chooses again among its remaining samples. If the new

@@ -41,7 +41,8 @@ class MovedObjects:
     Attributes:
         vanished: certain objects that are missing at their place and were not found elsewhere,
             oldest first.
-        renamed: new id → old id of the objects that the newest image showed to have moved.
+        renamed: new id → old id of the objects that the newest image showed to be a known one:
+            it had moved, or two rows were one object. In order: an old id may be renamed later.
     """
 
     def __init__(self, objects: TrackedObjects) -> None:
@@ -79,6 +80,14 @@ class MovedObjects:
             self._take_identity(int(rows[apart_m.argmin()]), gone)
             return
         self.vanished = [*self.vanished, gone][-MAX_VANISHED:]
+
+    def unite(self, kept: int, gone: int) -> None:
+        """Give a row the older identity, that with the smaller id, of two rows of one object."""
+        s = self._objects
+        older, newer = (kept, gone) if s.id[kept] < s.id[gone] else (gone, kept)
+        self.renamed[int(s.id[newer])] = int(s.id[older])
+        for array in (s.id, s.moves, s.came_from_m):
+            array[kept] = array[older]
 
     def _take_identity(self, at: int, before: VanishedObject) -> None:
         """Make a row the same object as a vanished one, which has moved to the row's place."""

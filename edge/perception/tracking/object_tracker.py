@@ -154,6 +154,7 @@ class ObjectTracker:
         if observation.camera is not None:
             self._fuse(observation)
         self._drop_missed()
+        self._rename_observed()
         self._note_changes()
 
     def named(self, label: str) -> Iterator[MappedObject]:
@@ -351,12 +352,25 @@ class ObjectTracker:
             for array in (e.now, s.confidence, s.last_seen_ns, e.peak):
                 array[kept] = max(array[kept], array[gone])
             s.first_seen_ns[kept] = min(s.first_seen_ns[kept], s.first_seen_ns[gone])
+            self.moved.unite(kept, gone)
             kernels.add_points(
                 s.points_m, s.n_points, e.cursor, kept, s.points_m[gone].copy(),
                 s.n_points[gone], self.config.voxel_m,
             )  # fmt: skip
             self._place(kept)
             self._drop(gone)
+
+    def _rename_observed(self) -> None:
+        """Give `observed` the ids that the rows have now."""
+        if not self.moved.renamed:
+            return
+        by_id: dict[int, ObservedObject] = {}
+        for obj in self.observed:
+            now = obj.id
+            for new, old in self.moved.renamed.items():
+                now = old if now == new else now
+            by_id.setdefault(now, obj._replace(id=now))  # a stronger box comes first
+        self.observed[:] = by_id.values()
 
     def _create(self, word: int, xyz_m: tuple[float, float, float], stamp_ns: int) -> int:
         """Add a row and return its index; if all are in use, drop the least confident first."""

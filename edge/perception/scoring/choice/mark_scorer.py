@@ -20,7 +20,7 @@ from edge.perception.runtime.cards import load_card_of, verify_model
 from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.runtime.sessions import TENSORRT, open_session
+from edge.perception.runtime.sessions import open_onnxruntime_session
 from edge.perception.scoring.choice.question import (
     MAX_MARKS,
     FrontierChoice,
@@ -32,7 +32,6 @@ from edge.perception.scoring.choice.question import (
 
 FAR_M = 20.0
 """Largest path length that the network gets; longer paths and unreachable marks get this value."""
-_KEY = "perception.choice.providers"  # configuration key, for messages
 
 
 class MarkModel(Protocol):
@@ -72,14 +71,9 @@ class MarkNetwork:
             )
         self.name, self._text = card.name, text
         self._scale, self._deadline = np.float32(card.preprocess.scale), InferenceTimeout(card.name)
-        if TENSORRT in providers:
-            raise ModelError(
-                f"{_KEY}: {TENSORRT!r} runs only detectors; name onnxruntime's "
-                "TensorrtExecutionProvider instead"
-            )
         path = verify_model(card, believe_cache=True)
-        engine = EngineOptions(card.name, card.precision)
-        self._session = open_session(path, providers, threads, device_id, engine, _KEY)
+        engine = EngineOptions(card.name, card.precision, section="perception.choice")
+        self._session = open_onnxruntime_session(path, providers, threads, device_id, engine)
         self._embeddings: dict[str, np.ndarray] = {}
         blank = np.zeros((card.input.height, card.input.width, 3), np.uint8)
         no_target = np.zeros((1, card.text_dim), np.float32)

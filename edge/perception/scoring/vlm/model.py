@@ -15,6 +15,7 @@ import numpy as np
 from edge.perception.runtime.card_types import ChoiceCard
 from edge.perception.runtime.cards import verify_parts
 from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
+from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.runtime.sessions import DTYPES, TENSORRT_PROVIDERS, open_session
@@ -62,7 +63,8 @@ class LanguageModel:
             path = card.path_of(part)
             if TENSORRT_PROVIDERS.intersection(providers):
                 check_fixed(path, PROVIDERS_KEY)
-            return open_session(path, providers, threads, device_id, key=PROVIDERS_KEY)
+            engine = EngineOptions(path.stem, "fp32", section="perception.choice")
+            return open_session(path, providers, threads, device_id, engine)
 
         self.name, self.takes_images = card.name, card.vision_encoder is not None
         self._card, self._deadline = card, InferenceTimeout(card.name)
