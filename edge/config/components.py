@@ -121,6 +121,8 @@ def _check_options(
             choices = ", ".join(names) or "none"
             hint = f"did you mean {close[0]!r}?" if close else f"choices: {choices}"
             raise ConfigError(f"{where}.{one_line(name)}: unknown option ({hint})")
+        if value == parameters[name].default:
+            continue
         annotation = parameters[name].annotation
         annotation = getattr(annotation, "__name__", annotation)
         expected, types = _PLAIN_TYPES.get(str(annotation), ("", object))

@@ -82,15 +82,17 @@ class PerceptionStages:
         self.release()
         detections = self.worker.poll()
         if detections is not None:
-            self.detections = detections.without_suppressed()
-            is_in_old_frame = detections.observation.seq <= self._last_seq_before_jump
-            if is_in_old_frame or detections.prompts != mission.spec.prompts:
-                self.release()
-            else:
-                self._latency.span(DETECT, detections.latency_ns)
-                if self.scorers is not None:
-                    self.scorers.on_detections(detections, self._map.grid.values)
-                self._map.on_detections(detections)
+            try:
+                is_in_old_frame = detections.observation.seq <= self._last_seq_before_jump
+                if not is_in_old_frame and detections.prompts == mission.spec.prompts:
+                    self._latency.span(DETECT, detections.latency_ns)
+                    if self.scorers is not None:
+                        self.scorers.on_detections(detections, self._map.grid.values)
+                    self._map.on_detections(detections)
+                    self.detections = detections.without_suppressed()
+            finally:
+                if self.detections is None:  # else the frame is held until `release`
+                    detections.observation.release()
         done = self.worker.stats.done
         self.images = done // self._n_cameras
         self._input_log.note("images", done=done)

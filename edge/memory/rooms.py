@@ -34,7 +34,8 @@ _VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has 
 # Largest vote of an object against a kind. The largest votes for a kind are near 1, and the
 # logarithm of a very small probability would outweigh them all.
 _MAX_AGAINST = 1.0
-_SAME_SPOT_M = 2.0  # a name that is given this near to an older one replaces it
+SAME_SPOT_M = 2.0
+"""A room's name that is given this near to an older one replaces it."""
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
@@ -410,7 +411,7 @@ def _names_by_room(
                 kept = [
                     one
                     for one in named.get(room_id, ())
-                    if math.dist(one.xy_m, room_name.xy_m) > _SAME_SPOT_M
+                    if math.dist(one.xy_m, room_name.xy_m) > SAME_SPOT_M
                 ]
                 named[room_id] = [*kept, room_name]
     return {room_id: tuple(one.name for one in found) for room_id, found in named.items()}

@@ -25,7 +25,6 @@ from pydantic import (
     ValidationInfo,
 )
 
-from edge import names
 from edge.geometry import FARTHEST_M, SE2
 from edge.host.files import read_regular, write_atomically
 from edge.host.worker import Worker
@@ -186,10 +185,9 @@ def site_of(geojson: object, where: str = "site") -> Site:
         raise SiteError(f"{where}: {_first_error(error)}") from None
     seen: set[str] = set()
     for item in items:
-        plain = names.normalise(name_of(item.name))
-        if plain in seen:
+        if item.name in seen:
             raise SiteError(f"{where}: two features have the name {bounded_repr(item.name)}")
-        seen.add(plain)
+        seen.add(item.name)
     return Site(items)
 
 

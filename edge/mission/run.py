@@ -353,7 +353,12 @@ class MissionRun:
 def forget_places(mission: MissionRun, now_ns: int) -> None:
     """Give up the places of a mission, whose poses are in an old map frame, in all rounds."""
     places = mission.destinations.items()
-    lost = [name for name, place in places if isinstance(place, PlaceTarget) and place.pose]
+    settled = mission.sets.reached if mission.spec.translation.repeat is None else ()
+    lost = [
+        name
+        for name, place in places
+        if isinstance(place, PlaceTarget) and place.pose is not None and name not in settled
+    ]
     if mission.done or not lost:
         return
     for name in lost:

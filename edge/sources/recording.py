@@ -375,10 +375,10 @@ def _session(config: Config, stop: threading.Event) -> Iterator[zenoh.Session]:
         if config.zenoh.mode == "peer":
             with suppress(BusError, ConfigError):  # in use, or only the service may listen here
                 session = stack.enter_context(zenoh_session(config.zenoh, "listen", stop))
-                log.info(
-                    "no service runs at %s: the recording listens in its place until it ends",
-                    config.zenoh.address,
-                )
+                log.warning(
+                    "no service runs at %s: the recording listens in its place; end it before you "
+                    "start `edge run`", config.zenoh.address,
+                )  # fmt: skip
         if session is None:
             session = stack.enter_context(zenoh_session(config.zenoh, "connect", stop))
         yield session

@@ -1,7 +1,8 @@
 """Preparation of every mission before it runs: a task in words, or a target or formula.
 
 An instruction becomes a task if it describes a path that no mission can mean ("turn left", "go past
-the right of the sofa"), or that passes an object ("go past the sofa and stop at the bed").
+the right of the sofa"), or that passes an object and then stops ("go past the sofa and stop at the
+bed").
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ _MORE_THAN_A_PATH = re.compile(
     r"\b(?:all|every|each|both|another|other|any|some|people|wait)\b", re.I
 )
 
-# A mission would end at the object.
-_PASSES = re.compile(r"\b(?:past|passing)\b", re.I)
+# "past the sofa and stop at the bed": a mission would go to both, in any order.
+_PASSES = re.compile(r"\bpast\b.*?,? and (?:then )?(?:stop|park|halt)\b", re.I)
+_BANS = re.compile(r"\b(?:avoid(?:ing)?|keep|stay|never|not|without)\b", re.I)
 
 
 def prepare_mission(
@@ -71,7 +73,7 @@ def prepare_mission(
         is_path = _is_path(instruction, site)
     except TranslationError as error:
         is_path, path_error = False, error
-    if is_path and _PASSES.search(instruction):
+    if is_path and _PASSES.search(instruction) and not _BANS.search(instruction):
         return prepare_task(config, instruction)
     try:
         return prepare(config.mission, site=site, **mission)

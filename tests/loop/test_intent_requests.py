@@ -6,6 +6,7 @@ import json
 import re
 from functools import partial
 
+import numpy as np
 import pytest
 from simulated import simulated
 
@@ -15,7 +16,8 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests.handlers import handle_mission, mission_verbs
-from edge.memory import Place, Site
+from edge.memory import Place, RoomName, Site
+from edge.memory.rooms import SAME_SPOT_M
 from edge.mission.destinations import PlaceTarget
 from edge.mission.language.intents import MemoryQuestion, NoMissionError
 from edge.tasks.mission_spec import prepare_mission
@@ -95,6 +97,16 @@ def test_a_room_is_named_closed_and_opened(loop):
     )
     loop.step()
     assert say(loop, "Where are you?")["text"].startswith("in the ballroom, at (")
+    service = loop.service
+    points_m = service.map.rooms.find("ballroom")[0].points_m
+    away_m = np.hypot(points_m[:, 0] - service.pose.x_m, points_m[:, 1] - service.pose.y_m)
+    site = service.site.site.with_item(RoomName("bar", tuple(points_m[away_m.argmax()].tolist())))
+    service.change_site(site, 0)
+    assert away_m.max() > SAME_SPOT_M
+    again = say(loop, "This is the lounge.")["text"]
+    assert again.endswith("; it is also called bar: remove a name that is wrong")
+    say(loop, "Forget the lounge.")
+    say(loop, "Forget the bar.")
     assert say(loop, "Stay out of the ballroom, please.")["text"].startswith("zone: keep out of")
     assert say(loop, "You may go into the ballroom again.")["text"] == "removed: ballroom zone"
     assert "stay inside" in say(loop, "Stay in this room.")["text"]

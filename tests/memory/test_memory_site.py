@@ -146,8 +146,6 @@ def test_a_place_does_not_replace_a_zone_nor_a_zone_a_place(before, new):
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 0]]])),
          "here: features.0: zone dock: give at least three different corners"),
         (collection(feature(), feature(name="The dock")), "two features have the name 'dock'"),
-        (collection(feature(name="room 12"), feature(name="room twelve")),
-         "two features have the name 'room twelve'"),
     ],
 )  # fmt: skip
 def test_an_invalid_site_is_refused_in_one_line(data, message):

@@ -105,6 +105,7 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Why did you stop?", MemoryQuestion("doing")),
         ("Did you find it?", MemoryQuestion("doing")),
         ("How much longer?", MemoryQuestion("doing")),
+        ("I can't find my keys. Have you seen them?", MemoryQuestion("exists", "keys")),
         ("When will you be back?", MemoryQuestion("doing")),
         ("What can you do?", MemoryQuestion("help")),
         ("Which rooms have a sink?", MemoryQuestion("where", "sink")),

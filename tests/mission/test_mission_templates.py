@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
-from edge.mission.language.words.templates import compile_templates, first_match, pattern
+from edge.lab.eval.everyday import everyday_cases
+from edge.mission.language import intents
+from edge.mission.language.errands import outcomes, spell_out
+from edge.mission.language.words.templates import (
+    SentenceTemplate,
+    compile_templates,
+    first_match,
+    pattern,
+)
 
+EVERYDAY = Path(__file__).with_name("everyday.jsonl")
 PARTS = {"go": "(go|drive) [on]", "may": "[please|now]*", "any": "(go|[fast])", "both": "a|b c"}
 
 
@@ -47,3 +57,20 @@ def test_the_first_template_that_fits_gives_the_slots():
     assert first_match(templates, "find the mug") == {"object": "the mug"}
     assert first_match(templates, "find") == {}
     assert first_match(templates, "stop") is None
+
+
+def test_no_template_is_left_out_for_a_text_that_fits_it():
+    """A sample: all templates and every twentieth sentence."""
+    rules = [part for rule, _ in spell_out._rules() for part in rule]
+    groups = (*intents._templates().values(), rules, [row[0] for row in outcomes._conditions()])
+    templates = [one for group in groups for one in group if isinstance(one, SentenceTemplate)]
+    said = [case["said"] for case in everyday_cases(EVERYDAY)]
+    texts = ["i can not find my keys . have you seen them", *said[::20]]
+    left_out = [
+        (template._template, text)
+        for text in texts
+        for template in templates
+        if not template._may_fit(f" {text}") and template._regex.search(f" {text}")
+    ]
+    assert len(templates) > 200
+    assert left_out == []

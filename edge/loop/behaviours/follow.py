@@ -242,9 +242,8 @@ class FollowBehaviour:
         if retry.is_last:
             _fail(self._mission, retry.reason, now_ns)
             return
-        is_settled = (
-            retry.ambiguous and not self.target_objects()
-        )  # the objects in question are confirmed
+        # The objects in question are confirmed.
+        is_settled = retry.ambiguous and not self.target_objects()
         if is_settled or self._goals.chooser.exhausted or now_ns - retry.tried_ns >= RETRY_NS:
             retry.tried_ns, retry.is_last = now_ns, self._goals.chooser.exhausted
             self._request_plan(observation, None)

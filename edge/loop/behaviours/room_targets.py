@@ -9,11 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.geometry import SE2
 from edge.loop.scoring.prior import LEAST, MOST
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, RoomMemory, Site
-from edge.mission.destinations import PlaceTarget, RoomTarget, WaitTarget
+from edge.mission.destinations import PlaceTarget, RoomTarget
 from edge.mission.instructions import MissionError
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec
@@ -102,12 +101,10 @@ def known_targets(mission: MissionRun, semantic_map: SemanticMap) -> dict[str, i
 
 
 def positions_of_target(
-    mission: MissionRun, semantic_map: SemanticMap, pose: SE2, name: str
+    mission: MissionRun, semantic_map: SemanticMap, name: str
 ) -> list[Sequence[float]]:
-    """Return the positions (x, y) of a target; the robot's own for a wait, [] if none is known."""
+    """Return the positions (x, y) of a target; [] if none is known."""
     target = mission.destinations.get(name)
-    if isinstance(target, WaitTarget):
-        return [(pose.x_m, pose.y_m)]
     if isinstance(target, PlaceTarget):
         return [] if target.pose is None else [(target.pose.x_m, target.pose.y_m)]
     if isinstance(target, RoomTarget):

@@ -137,7 +137,7 @@ class SearchBehaviour:
         mission.on_detections(newest | known_targets(mission, self._map), now_ns)
         close_forbidden(mission, self._map)
         if self._travel_costs is not None:
-            positions_of = partial(positions_of_target, mission, self._map, pose)
+            positions_of = partial(positions_of_target, mission, self._map)
             self._travel_costs.step(mission, grid, positions_of, pose, now_ns)
         if goals.follows(mission) and mission.active:
             self._pursuit.check_progress(context, images)

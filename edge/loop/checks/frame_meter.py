@@ -166,6 +166,7 @@ class FrameMeter:
             facts.rgb_driven_m = self._unchanged_m(self._rgb, rgb, step, now_ns)
 
     def _measure_cloud(self, cloud_m: np.ndarray, step: _Step, now_ns: int) -> None:
+        """Measure the points of a LiDAR."""
         size = np.abs(self._cloud.sample(cloud_m)).max(axis=1)
         self.facts.cloud_points = float(np.count_nonzero(size > 0.0))
         # Beams that hit nothing (inf) look the same from every place.

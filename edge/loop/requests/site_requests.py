@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import math
 from functools import reduce
 from typing import TYPE_CHECKING
 
 from edge.bus.verbs import Request, Verb, check_flag, check_text, show
 from edge.errors import UserError
 from edge.memory import Place, RoomName, Site, Zone, item_of, site_of, without_mapped
+from edge.memory.rooms import SAME_SPOT_M
 from edge.memory.site import MAX_NAME_CHARS, ZONE_KINDS, Item, name_of
 from edge.text import bounded_repr, one_line
 
@@ -87,7 +89,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
             is_room = isinstance(item, RoomName)
             item = RoomName(item.name, at_m) if is_room else Place.at(item.name, service.pose)
         service.change_site(site.with_item(item), now_ns)
-        text = describe_item(item)
+        text = f"{describe_item(item)}{_other_names(service, item)}"
     elif request.do == "remove":
         service.change_site(site.without(fields["name"]), now_ns)
         text = f"removed: {name_of(fields['name'])}"
@@ -98,6 +100,24 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
     if text:
         service.event(text, now_ns)
     return {"text": text, "site": service.site.known.geojson()}
+
+
+def _other_names(service: Service, item: Item) -> str:
+    """Return the other names of the room that gets a name, for the answer; "" if it has none."""
+    if not isinstance(item, RoomName):
+        return ""
+    room_at = service.map.rooms.room_at
+    room = room_at(*item.xy_m)
+    others = [
+        one.name
+        for one in service.site.site.room_names
+        if room is not None
+        and room_at(*one.xy_m) is room
+        and math.dist(one.xy_m, item.xy_m) > SAME_SPOT_M
+    ]
+    if not others:
+        return ""
+    return f"; it is also called {one_line(', '.join(others))}: remove a name that is wrong"
 
 
 def _zone_of(service: Service, fields: dict) -> Zone:

@@ -81,6 +81,7 @@ def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEnc
 
 
 def _note_unused(vocabulary: str | None, model: TextCard) -> None:
+    """Log that a configured vocabulary is not read."""
     if vocabulary is not None:
         log.info("perception.detector.vocabulary: not read: %s encodes the prompts", model.name)
 

@@ -255,15 +255,31 @@ _NUMBERED = re.compile(
     r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
     re.I,
 )
+
+
+def _wait_first(found: re.Match[str]) -> str:
+    """Return "…, then wait a minute, then" for "…, and after a minute".
+
+    After an order that lasts, the time may be its limit, so nothing is changed.
+    """
+    if not found["joint"]:
+        return f" wait {found['span']}, then"
+    before = re.split(r"[.;!?,]| and | then ", found.string[: found.start()])[-1]
+    return found[0] if _LASTS.search(before) else f", then wait {found['span']}, then"
+
+
+_LASTS = re.compile(
+    r"\b(?:wait|stay|remain|stand|stop|explore|look|search|find|patrol|guard|tour|map|scan)\b", re.I
+)
 FIRST_REWRITES = (
     # "in ten minutes, go to the hall, and after one minute come back"
     (re.compile(rf"(?P<joint>^|,? and(?: then)?|,? then|[,;.])(?P<when> after|(?<=^) in)"
                 rf" (?P<span>{DURATION}),?(?= (?:go|come|drive|head|return|find|look|visit|check|"
                 r"explore|patrol|search)\b)", re.I),
-     lambda found: f"{', then' if found['joint'] else ''} wait {found['span']}, then"),
+     _wait_first),
     # "the room where the tv is"
-    (re.compile(rf"\b(room) (?:where|in which) (?P<anchor>{NAME}) (?:is|are|stands)\b", re.I),
-     r"\1 with \g<anchor>"),
+    (re.compile(rf"\bthe room (?:where|in which) (?P<anchor>(?:the|my|our) {PLAIN_NAME}) "
+                r"(?:is|are|stands)(?=[,.;!?]|$)", re.I), r"the room with \g<anchor>"),
     # "look around the house, every room"
     (re.compile(r"\b(house|home|flat|apartment|building|place), (?:every|each) (?:single )?room\b",
                 re.I), r"\1"),

@@ -25,7 +25,9 @@ _FIRST = re.compile(rf"\s*{_PERIOD}(?:{_LIMIT})?,? (?P<order>\S.*)", re.I | re.S
 _LAST = re.compile(
     rf"(?P<order>\S.*?),?\s+{_PERIOD}(?:{_LIMIT}|{_ENDLESS})?{_BAN}?{_THANKS}", re.I | re.S
 )
-_ENDS = re.compile(rf" for {DURATION}(?={_THANKS}$)", re.I)
+_ENDS = re.compile(rf" for (?P<span>{DURATION})(?={_THANKS}$)", re.I)
+# An order that may last for some time.
+_LASTS = re.compile(r"\b(?:wait|stay|remain|stand|stop|explore|look|search|patrol|guard)\b", re.I)
 _DENIED = re.compile(r"(?:do not|don't|never|stop)\b", re.I)
 # "go to the dock, then to the shelf, and do this [every hour]": all orders before it
 _AGAIN = re.compile(
@@ -70,8 +72,6 @@ def split_period(instruction: str) -> Period | None:
         raise unclear(said, "only an order to drive can be repeated after a time")
     if found.re is _FIRST and re.search(r"[.;]\s*\w", order):
         raise unclear(said, "unclear which orders it repeats; say them in one sentence")
-    if found.re is _FIRST and (ends := _ENDS.search(order)):
-        raise unclear(ends[0].strip(), f"unclear if the rounds end then; say '{said}{ends[0]}, …'")
     is_set_off = instruction[found.end("order") :].startswith(",") or _AGAIN.search(order)
     order = _AGAIN.sub("", order)
     has_several = re.search(r"[.;]\s*\w", order) if is_set_off else _has_several_orders(order)
@@ -82,6 +82,9 @@ def split_period(instruction: str) -> Period | None:
     if span in ("hour", "minute"):
         span = f"one {span}"
     wait_s = seconds_of(span.replace("other", "two"))
+    ends = _ENDS.search(order) if found.re is _FIRST else None
+    if ends and not _LASTS.search(order) and seconds_of(ends["span"]) >= wait_s:
+        raise unclear(ends[0].strip(), f"unclear if the rounds end then; say '{said}{ends[0]}, …'")
     limit_s = seconds_of(found["limit"]) if found["limit"] else None
     if limit_s is not None and limit_s < wait_s:
         raise unclear(said, "unclear how often, since all ends before the second round")

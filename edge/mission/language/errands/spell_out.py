@@ -45,6 +45,7 @@ from edge.mission.language.words.everyday_words import (
     each_kind,
     is_room,
     is_vague,
+    phrase_of,
     refuse_each,
 )
 from edge.mission.language.words.lexicon import TABLE
@@ -267,14 +268,28 @@ def _rewrite_coloured(found: re.Match[str]) -> str | None:
 
 def _rewrite_nearest(found: re.Match[str]) -> str | None:
     """Return "the nearest chair" as the chair; None in a ban, which would mean all chairs."""
+    return None if _is_banned(found) else f" the {found['object']}"
+
+
+def _is_banned(found: re.Match[str]) -> bool:
+    """Return True if a word of a ban is before a match, in its clause."""
     clause = re.split(r"[.;!?,]| and | then ", found.string[: found.start()])[-1]
-    return None if patterns.BAN.search(clause) else f" the {found['object']}"
+    return patterns.BAN.search(clause) is not None
+
+
+def _goes_on(found: re.Match[str]) -> bool:
+    """Return True if a place or another name belongs to what a match ends with."""
+    rest = found.string[found.end() :]
+    return re.match(rf" (?:{phrase_of('relation')}|and {ARTICLE})\b", rest, re.I) is not None
 
 
 def _rewrite_search(found: re.Match[str]) -> str | None:
     """Return "search the kitchen for a mug" as the order to find the mug in the kitchen."""
     slots = found.groupdict()
     room, each, name = slots.get("room"), slots.get("each"), slots.get("object") or slots["own"]
+    new = slots.get("stops") or " until " in found[0]
+    if new and (_is_banned(found) or _goes_on(found)):
+        return None
     if slots.get("stops"):  # "search the bedroom and the bathroom for my keys"
         return _rewrite_search_in_rooms(slots["stops"], name)
     if room and each_kind(room):

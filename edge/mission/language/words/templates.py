@@ -152,7 +152,8 @@ def _needed_in_group(
         elif token["part"]:
             needed = _needed_words(parts[token["part"]], parts)
         elif token["word"]:
-            needed = [frozenset([token["word"].lower()])]
+            words = _words_of(token["word"])
+            needed = [words] if len(words) == 1 else []  # none for "."
         choices[-1] += needed
         at += 1
     if len(choices) > 1:
