@@ -53,7 +53,7 @@ class FakeService:
         self.map = SimpleNamespace(tracker=SimpleNamespace(all=things))
         self.site = SimpleNamespace(known=Site())
         self.detector_swap, self.perception = None, SimpleNamespace(scorers=None)
-        self.behaviour = SimpleNamespace(facts=lambda: None)
+        self.behaviour = SimpleNamespace(task_status=lambda: None)
         self.events: list[str] = []
         self.begun = 0
 
