@@ -359,7 +359,7 @@ def test_the_stop_at_a_probable_object_may_be_blocked(beyond_m, phase, tmp_path)
 
 
 def test_a_person_confirms_a_probable_object(tmp_path):
-    loop = loop_of(tmp_path, "F (bed & F start)", NEVER_SURE, probable="ask", time_limit_s=600)
+    loop = loop_of(tmp_path, 'F (bed & F "wait 3 s")', NEVER_SURE, probable="ask", time_limit_s=600)
     with pytest.raises(UserError, match="nothing to confirm"):
         ask(loop, "confirm")
     while loop.service.status.phase != "waiting" and not loop.service.status.done:
@@ -378,7 +378,7 @@ def test_a_person_confirms_a_probable_object(tmp_path):
     ask(loop, "confirm")
     loop.step()
     assert "reached: bed (confirmed by a person)" in loop.notes.events
-    assert (loop.service.mission.target, loop.service.mission.question) == ("start", "")
+    assert (loop.service.mission.target, loop.service.mission.question) == ("wait 3 s", "")
 
 
 @pytest.mark.parametrize(
