@@ -527,9 +527,9 @@ def test_subscribers_get_boxes_and_objects(make, theirs):
     ticks = iter(range(1, 10**6))
 
     def heard(subscription):
-        sink.tick(result(next(ticks) * 10**9, detections=found,
-                         instances=lambda: [bed, rejected], objects=lambda: [mug]))  # fmt: skip
-        sink.tick(result(next(ticks) * 10**9, detections=of_second_camera))
+        for detections in (found, of_second_camera):
+            sink.tick(result(next(ticks) * 10**9, detections=detections,
+                             instances=lambda: [bed, rejected], objects=lambda: [mug]))  # fmt: skip
         return subscription.take()
 
     type_name, payload = eventually(lambda: heard(boxes))[0]
