@@ -129,4 +129,4 @@ def objects_in_view(
         DetectedObject(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
         for word, xy_m in ((word, (float(at[0]), float(at[1]))) for word, at in found)
     ]
-    return tuple(sorted(objects, key=lambda sighting: sighting.distance_m)[:MAX_NAMED_OBJECTS])
+    return tuple(sorted(objects, key=lambda obj: obj.distance_m)[:MAX_NAMED_OBJECTS])
