@@ -87,10 +87,10 @@ class RerunSink:
     @staticmethod
     def check_options(file: str = "edge.rrd", max_mb: float = 1024.0, rgb_hz: float = 5.0) -> None:
         """Raise an error for invalid options or a missing SDK; see `edge.config.components`."""
-        if not isinstance(file, str) or not file.endswith(".rrd"):
+        if not file.endswith(".rrd"):
             raise ConfigError(f"sinks: rerun: file: expected a name in .rrd, got {file!r:.80}")
         for name, value, least in (("max_mb", max_mb, 1), ("rgb_hz", rgb_hz, 0)):
-            if type(value) not in (int, float) or not least <= value < 1e6:
+            if not least <= value < 1e6:
                 raise ConfigError(
                     f"sinks: rerun: {name}: expected a number, {least} or more, got {value!r:.40}"
                 )

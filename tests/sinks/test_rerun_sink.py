@@ -124,10 +124,10 @@ def test_the_file_ends_at_its_size_limit(tmp_path, caplog):
     ("options", "why"),
     [
         ({"file": "a.txt"}, "sinks: rerun: file: expected a name in .rrd, got 'a.txt'"),
-        ({"file": 3}, "sinks: rerun: file: expected a name in .rrd, got 3"),
+        ({"file": 3}, "sinks.0.options.file: expected a text, got 3"),
         ({"max_mb": 0}, "sinks: rerun: max_mb: expected a number, 1 or more, got 0"),
         ({"rgb_hz": float("nan")}, "sinks: rerun: rgb_hz: expected a number, 0 or more, got nan"),
-        ({"rgb_hz": True}, "sinks: rerun: rgb_hz: expected a number, 0 or more, got True"),
+        ({"rgb_hz": True}, "sinks.0.options.rgb_hz: expected a number, got True"),
         ({"file": "/proc/no/a.rrd"}, "sinks: rerun: file: /proc/no/a.rrd: cannot be written: No"),
     ],
 )
