@@ -263,7 +263,7 @@ def _serve_requests(
     servers: dict[str, RequestServer] = {}
 
     def prepare(**request: Any) -> MissionSpec:
-        return prepare_mission(config, site=service.site.known, **request)
+        return prepare_mission(service.config, site=service.site.known, **request)
 
     handlers = request_handlers(service, prepare, problems)
     if config.mcp is not None:

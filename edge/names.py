@@ -202,9 +202,9 @@ NEAR: dict[str, tuple[str, ...]] = {
 }
 """Canonical name → other objects that look alike in one view; several views may separate them."""
 
-# For `singular`: irregular plural → singular.
+# For `singular`: irregular plural → singular, also at the end of a word, as in "bookshelves".
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch",
-            "cookies": "cookie"}  # fmt: skip
+            "cookies": "cookie", "buses": "bus"}  # fmt: skip
 # Nouns that `singular` leaves as they are; "glasses" only as eyeglasses.
 _PAIRS = ("scissors", "trousers", "headphones", "binoculars", "pliers", "tweezers", "sunglasses")
 _EYEGLASSES = ("glasses", "reading glasses", "safety glasses")
@@ -313,8 +313,9 @@ def singular(phrase: str) -> str:
     head, _, last = phrase.rpartition(" ")
     if last in _PAIRS or phrase in _EYEGLASSES:
         return phrase
-    if last in _PLURALS:
-        last = _PLURALS[last]
+    irregular = next((word for word in _PLURALS if last.endswith(word)), None)
+    if irregular:
+        last = last.removesuffix(irregular) + _PLURALS[irregular]
     elif last.endswith("ies") and len(last) > 4:
         last = last[:-3] + "y"
     elif last.endswith(("ches", "shes", "xes", "sses")):

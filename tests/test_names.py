@@ -150,6 +150,11 @@ def test_same(a, b, expected):
     assert names.same_name(a, b) is expected
 
 
+def test_the_singular_of_a_plural_is_the_name():
+    for name in {*names.ALIASES, *names.HYPERNYMS, "bus", "paper knife"} - {"chest of drawers"}:
+        assert names.singular(names.plural(name)) == name
+
+
 def test_a_kind_has_one_broader_word():
     assert names.hypernym("nothing known") is None
     kinds = [kind for kinds in names.HYPERNYMS.values() for kind in kinds]

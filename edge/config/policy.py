@@ -29,7 +29,8 @@ class _Selection(Section):
         switch_margin: the goal changes only to a candidate whose score is better by this fraction.
         instances: false: do not approach objects that may be the target (VL-Nav III.C). The robot
             then goes only to objects that were confirmed in passing.
-        spin: true: a full turn on the spot is a candidate, too.
+        spin: true: a full turn on the spot is a candidate, too; `search` and `nearest_frontier`
+            score it like a frontier, the others choose it last.
     """
 
     # Confirmed objects come before others, whatever their scores.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, Union
 
 import cv2
@@ -55,7 +56,12 @@ def is_same(name: str, other: str) -> bool:
     >>> is_same("Room 12", "the room twelve")
     True
     """
-    return names.normalise(name_of(name)) == names.normalise(name_of(other))
+    return _key(name) == _key(other)
+
+
+@lru_cache(4096)  # a tick compares each room with each object
+def _key(name: str) -> str:
+    return names.normalise(name_of(name))
 
 
 def feature_of(

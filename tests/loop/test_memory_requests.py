@@ -19,8 +19,10 @@ from edge.host import checkpoint
 from edge.host.checkpoint import CheckpointError
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.checkpoints.crop_checkpoint import CropCheckpoint
+from edge.loop.requests.intent_requests import carry_out
 from edge.loop.requests.memory_requests import MEMORY_VERBS, handle_memory, similar_words
 from edge.memory import CropStore
+from edge.mission.language.intents import MemoryQuestion
 from edge.perception.prior.table import load
 from edge.perception.prior.words import PriorWordIndex
 
@@ -70,6 +72,11 @@ def test_similar_objects_are_marked_as_similar(loop):
     assert answer["text"].startswith("no countertop has been seen")
     assert "; a table (similar) " in answer["text"]
     assert answer["objects"]
+
+
+def test_a_similar_object_is_no_yes(loop):
+    answer = carry_out(loop.service, MemoryQuestion("exists", "countertop"), 0)
+    assert answer.startswith("no countertop has been seen")
 
 
 VOCABULARY = ["goblet", "cup", "chair"], np.array([(1.0, 0.0), (0.95, 0.312), (0.0, 1.0)], "f4")

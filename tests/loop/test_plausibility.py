@@ -327,6 +327,7 @@ def test_a_standing_robot_may_repeat_its_images(poses):
 @pytest.mark.parametrize(
     ("cloud_m", "check"),
     [
+        (np.zeros((0, 3)), ["cloud_empty"]),
         (np.zeros((40, 3)), ["cloud_empty"]),
         (np.ones((40, 3)), ["cloud_frozen"]),
         (np.full((40, 3), (20.0, 0.0, np.inf)), []),  # beams that met nothing

@@ -15,12 +15,13 @@ from simulated import simulated
 from tiny_ground import put_network
 
 from edge import launch
-from edge.config import Config, TasksConfig
+from edge.config import Config, TasksConfig, WriterModel
 from edge.errors import ConfigError, Stopped
 from edge.host.checkpoint import Checkpoint, save
 from edge.host.ports import free_port
 from edge.launch import open_service
 from edge.mission.checkpoint import MISSION, MissionState
+from edge.mission.translate import TranslationError
 
 UNFINISHED = MissionState(
     "go to the bed", "F bed", "grammar", "reach the bed", (), (), (), (), "bed", "exploring", "",
@@ -106,6 +107,22 @@ def test_a_service_has_the_network_that_names_ground(tmp_path, monkeypatch):
     tasks = TasksConfig(ground=put_network())
     with open_service(config().model_copy(update={"tasks": tasks}), []) as running:
         assert running.service.ground.name == "tiny-ground"
+
+
+def test_missions_are_prepared_with_the_configuration_in_use(monkeypatch):
+    prepares, make_handlers = [], launch.request_handlers
+
+    def request_handlers(service, prepare, problems):
+        prepares.append(prepare)
+        return make_handlers(service, prepare, problems)
+
+    monkeypatch.setattr(launch, "request_handlers", request_handlers)
+    with open_service(config(), []) as running:
+        with pytest.raises(TranslationError):
+            prepares[0](task="fly")
+        tasks = TasksConfig(planner=WriterModel())
+        running.service.config = running.service.config.model_copy(update={"tasks": tasks})
+        assert prepares[0](task="fly").translation.backend == "model"
 
 
 NOWHERE = "no_such_module:A"

@@ -243,7 +243,7 @@ class _Repeats:
         cloud = array.shape[1] == 3 and array.ndim == 2
         rows = _SAMPLES * _SAMPLES if cloud else _SAMPLES
         # Rounded up, so that the sample never has more than `rows` rows.
-        v = math.ceil(len(array) / rows)
+        v = max(1, math.ceil(len(array) / rows))  # a cloud may be empty
         u = 1 if cloud else math.ceil(array.shape[1] / _SAMPLES)
         self.stride = v, u
         picked = array[v // 2 :: v, u // 2 :: u]

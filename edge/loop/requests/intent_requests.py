@@ -68,14 +68,16 @@ def _answer(service: Service, intent: MemoryQuestion, now_ns: int) -> str:
         answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
         in_room = _in_room(service, answer["objects"], intent.room)
         text = str(answer["text"])
-        if intent.room and answer["objects"] and not in_room:
+        # Without an object of this name, the answer has similar ones.
+        number = sum(_is_of(one, name) for one in in_room)
+        if intent.room and answer["objects"] and not number:
             return f"none in the {one_line(intent.room)}; {text}"
         # Memory does not know which boxes are on the shelf.
         counts = intent.topic == "count" and names.head_phrase(intent.about) == intent.about
-        if counts and (number := sum(_is_of(one, name) for one in in_room)):
+        if counts and number:
             room = f" in the {one_line(intent.room)}" if intent.room else ""
             return f"{number} {name if number == 1 else names.plural(name)} seen{room}; {text}"
-        return f"yes, {text}" if intent.topic == "exists" and in_room else text
+        return f"yes, {text}" if intent.topic == "exists" and number else text
     if intent.topic == "seen":
         answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
         in_room = _in_room(service, answer["objects"], intent.room)
