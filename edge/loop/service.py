@@ -264,7 +264,10 @@ class Service:
         if saved.waiting is None:
             return
         find_mismatch = partial(saved.frame_mismatch, last_pose)
-        restored = saved.take(self._input_log.record_decision(FRAME_DECISION, find_mismatch))
+        mismatch = self._input_log.record_decision(FRAME_DECISION, find_mismatch)
+        if mismatch and checkpoint.is_resumed(self.mission):
+            forget_places(self.mission, last_pose.now_ns)
+        restored = saved.take(mismatch)
         if restored is None:
             return
         grid, loaded = restored

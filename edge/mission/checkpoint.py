@@ -37,7 +37,7 @@ class MissionState:
             saved. It follows from the trace, even if a later compiler numbers states differently.
         reached: R of ViTL III; a subset of the formula's propositions, like `failed` and
             `detected`.
-        failed: B of ViTL III.
+        failed: B of ViTL III; `lost` is its part that fails in all rounds.
         detected: D of ViTL III.
         target: the pursued proposition, or None.
         paused: True if the mission was paused.
@@ -79,6 +79,7 @@ class MissionState:
     round: Annotated[int, Field(ge=1)] = 1
     results: tuple[str, ...] = ()
     pursued_s: dict[ShortText, NotNegative] = field(default_factory=dict)
+    lost: Names = ()
 
 
 TRANSLATION_ATTRIBUTES = (
@@ -97,6 +98,7 @@ def state_of(mission: MissionRun, phase: str) -> MissionState:
         formula=str(spec.automaton.formula), phase=phase,
         task=spec.steps is not None,
         failed=tuple(sorted(mission.sets.failed)), detected=tuple(sorted(mission.sets.detected)),
+        lost=tuple(sorted(mission.sets.lost)),
         **{name: getattr(spec.translation, name) for name in TRANSLATION_ATTRIBUTES}
         | {"destinations": dict(mission.destinations)},
         **{name: getattr(mission, name) for name in _RUN_ATTRIBUTES},
@@ -111,7 +113,7 @@ def restore(mission: MissionRun, saved: MissionState) -> None:
     for reached in saved.trace:
         mission.progress.advance(reached)
     mission.progress.round = saved.round
-    mission.sets.restore(saved.reached, saved.failed)
+    mission.sets.restore(saved.reached, saved.failed, saved.lost)
     mission.id, mission.results, mission.paused = saved.id, saved.results, saved.paused
     for name in _METER_ATTRIBUTES:
         setattr(mission.meter, name, getattr(saved, name))
@@ -123,7 +125,7 @@ def _check(state: MissionState) -> None:
     names = _propositions_of(state.formula)
     if state.task:
         return
-    for name in ("trace", "reached", "failed", "detected"):
+    for name in ("trace", "reached", "failed", "lost", "detected"):
         unknown = set(getattr(state, name)) - names - ({NOTHING} if name == "trace" else set())
         if unknown:
             raise ValueError(f"{name}: {bounded_repr(min(unknown), 60)} is not in the formula")

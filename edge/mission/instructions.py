@@ -101,7 +101,7 @@ def translate(
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, _place_names(site)))
         translation = make_translator(config.translator).translate(quoted, reading, ask)
-        return replace(with_failures(translation), repeat=repeat)
+        return replace(with_failures(translation), instruction=text, repeat=repeat)
     speech = tidy_up(text)
     marked, places = mark_places(speech.text, _place_names(site))
     if (period := split_period(marked)) is not None:
@@ -128,8 +128,7 @@ def _with_period(order: Translation, period: Period, speech: TidySpeech, text: s
     if order.repeat not in (None, Repetition()):
         raise unclear(text, "unclear what is repeated how often; say only the time between rounds")
     goals, bans = split_bans(order.formula)
-    seconds = period.wait_s
-    wait = f"{WAIT} {shown_s(seconds) if seconds.is_integer() else f'{seconds:g} s'}"
+    wait = f"{WAIT} {shown_s(period.wait_s)}"
     try:
         round_of_goals = then(*goals, ltl.eventually(ltl.ap(wait)))
     except NotASequenceError:

@@ -20,6 +20,7 @@ class TargetSets:
         detected: the set D, labels of detected targets.
         reached: the set R, in order of reaching.
         failed: the set B, labels of failed targets.
+        lost: failed targets that stay in B in all rounds.
         distance_m: see `MissionKnowledge.distance_m`; None: unknown.
     """
 
@@ -33,7 +34,7 @@ class TargetSets:
         # Target → highest id of its known instances, and the same at the time when it failed.
         self._newest_ids = dict.fromkeys(self.detected, 0)
         self._stale_ids: dict[str, int] = {}
-        self._lost: frozenset[str] = frozenset()  # in B in all rounds
+        self.lost: frozenset[str] = frozenset()
 
     @property
     def knowledge(self) -> MissionKnowledge:
@@ -85,18 +86,20 @@ class TargetSets:
     def add_lost(self, label: str, reason: str) -> None:
         """Move a target from D to B for all rounds."""
         self.add_failed(label, reason)
-        self._lost |= {label}
+        self.lost |= {label}
 
     def begin_round(self) -> None:
         """Empty R and B: all known targets are candidates again, except those that are lost."""
-        self.reached, self.failed = (), self._lost
-        self.detected = frozenset(self._newest_ids) - self._lost
-        self._stale_ids = {label: self._newest_ids.get(label, -1) for label in self._lost}
-        self._why_failed = {k: why for k, why in self._why_failed.items() if k in self._lost}
+        self.reached, self.failed = (), self.lost
+        self.detected = frozenset(self._newest_ids) - self.lost
+        self._stale_ids = {label: self._newest_ids.get(label, -1) for label in self.lost}
+        self._why_failed = {k: why for k, why in self._why_failed.items() if k in self.lost}
 
-    def restore(self, reached: Iterable[str], failed: Iterable[str]) -> None:
+    def restore(
+        self, reached: Iterable[str], failed: Iterable[str], lost: Iterable[str] = ()
+    ) -> None:
         """Continue with saved sets."""
-        self.reached, self.failed = tuple(reached), frozenset(failed)
+        self.reached, self.failed, self.lost = tuple(reached), frozenset(failed), frozenset(lost)
         self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
 
     def mark_stale_before(self, newest: Mapping[str, int]) -> None:

@@ -253,7 +253,10 @@ def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     ],
 )
 def test_the_map_is_restored_only_in_the_same_frame(tmp_path, monkeypatch, change, expected):
-    settings = config(source={"localised": change.get("localised", False)})
+    settings = config(
+        source={"localised": change.get("localised", False)},
+        mission={"instruction": "F (toilet & F start)"},
+    )
     run = Run(tmp_path / "m.json", settings).ticks(20)
     known_m2 = run.service.map.grid.known_m2
     if "boot" in change:
@@ -269,6 +272,7 @@ def test_the_map_is_restored_only_in_the_same_frame(tmp_path, monkeypatch, chang
     taken = run.service.map.grid.known_m2 > 0.9 * known_m2
     assert taken is expected
     assert any("restored" in text for text in run.notes.events) is expected
+    assert run.service.mission.sets.lost == (frozenset() if expected else {"start"})
     run.service.checkpoint.close()
 
 

@@ -58,6 +58,7 @@ def test_every_state_survives_a_round_trip(state):
         ({"trace": ("chair",) * 10_001}, "trace"),
         ({"reached": ("",)}, "reached: '' is not in the formula"),
         ({"failed": ("sofa",)}, "failed"),
+        ({"lost": ("sofa",)}, "lost: 'sofa' is not in the formula"),
         ({"detected": ("sofa",)}, "detected"),
         ({"target": "sofa"}, "target: 'sofa' is not in the formula"),
     ],

@@ -161,6 +161,7 @@ PLACES = ["dock", "loading bay 2"]
         ("go to the dock and wait there for a couple of minutes",
          'go to "dock", then go to "wait 2 min"'),
         ("wait 90 seconds, and go to the bed", 'go to "wait 90 s", then go to the bed'),
+        ("wait 2.5 seconds, and go to the bed", 'go to "wait 2.5 s", then go to the bed'),
         ("see if the kitchen has a stool in it", 'go to "check stool in the kitchen"'),
         ("see if there is a person at the front desk", 'go to "check person at the front desk"'),
         ("check if there is a bed in exam room 2", 'go to "check bed in exam room 2"'),

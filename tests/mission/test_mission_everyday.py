@@ -346,6 +346,8 @@ def test_nearest_is_not_promised():
 def test_a_formula_is_not_read_as_speech():
     config = MissionConfig(translator=TranslatorLtl())
     assert str(translate(config, "F stop").formula) == "F stop"
+    said = "F (dock & F stop); repeat 3 times"  # a restart compares it
+    assert translate(config, said, SITE).instruction == said
 
 
 WORDS = (

@@ -23,6 +23,7 @@ NAMES = [place.name for place in SITE.places]
         ("", ""),
         ("go to the bed", "go to the bed"),
         ("Go to the Dock.", 'Go to "dock".'),
+        ("go to the doc\N{KELVIN SIGN}", 'go to "dock"'),
         ("go to loading  bay 2, then the dock", 'go to "loading bay 2", then "dock"'),
         ("go to the docking table", "go to the docking table"),
         ('go to "the dock of the bay"', 'go to "the dock of the bay"'),

@@ -120,6 +120,10 @@ def test_places_of_an_old_map_frame_are_given_up_in_all_rounds():
     mission.sets.begin_round()
     mission.sets.on_detections({"dock": 0, "shelf": 0, "bed": 3}, keep=False)
     assert (mission.sets.detected, mission.sets.failed) == ({"bed"}, {"dock", "shelf"})
+    restarted = MissionRun(spec, config)
+    restore(restarted, state_of(mission, "exploring"))
+    restarted.sets.begin_round()
+    assert restarted.sets.failed == {"dock", "shelf"}
 
 
 def test_a_wait_goes_on_without_sensors():

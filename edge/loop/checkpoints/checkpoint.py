@@ -100,9 +100,9 @@ class ServiceCheckpoint:
                      one_line(saved.instruction), mission.progress.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
-    def is_resumed(self, mission: MissionRun, targets: Sequence[str]) -> bool:
-        """Return True for the saved mission, if the map was saved with the same targets."""
-        return mission is self._resumed and tuple(targets) == mission.spec.prompts
+    def is_resumed(self, mission: MissionRun, targets: Sequence[str] | None = None) -> bool:
+        """Return True for the saved mission, with these targets of the saved map if given."""
+        return mission is self._resumed and targets in (None, mission.spec.prompts)
 
     def save_if_due(
         self,

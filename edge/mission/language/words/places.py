@@ -42,11 +42,12 @@ def mark_places(instruction: str, names: Iterable[str]) -> tuple[str, list[str]]
     known = sorted(names, key=len, reverse=True)
     if not known:
         return instruction, []
-    any_name = "|".join(r"\s+".join(map(re.escape, name.split())) for name in known)
-    named = re.compile(rf"\b(?:(?:the|my|our|your)\s+)?({any_name})(?![\w'-])", re.I)
+    # One group for each name: its number is that of the name.
+    any_name = "|".join("(" + r"\s+".join(map(re.escape, name.split())) + ")" for name in known)
+    named = re.compile(rf"\b(?:(?:the|my|our|your)\s+)?(?:{any_name})(?![\w'-])", re.I)
 
     def mark(found: re.Match[str]) -> str:
-        return chr(_FIRST_MARK + known.index(" ".join(found[1].lower().split())))
+        return chr(_FIRST_MARK + (found.lastindex or 1) - 1)
 
     pieces = re.split(r'("[^"]*")', instruction)
     pieces[::2] = [named.sub(mark, piece) for piece in pieces[::2]]

@@ -63,8 +63,8 @@ def seconds_of(span: str) -> float:
 def shown_s(seconds: float) -> str:
     """Return a duration for people.
 
-    >>> shown_s(30.0), shown_s(600.0), shown_s(90.0)
-    ('30 s', '10 min', '90 s')
+    >>> shown_s(30.0), shown_s(600.0), shown_s(90.0), shown_s(2.5)
+    ('30 s', '10 min', '90 s', '2.5 s')
     """
     minutes, rest = divmod(seconds, 60)
-    return f"{minutes:.0f} min" if minutes and not rest else f"{seconds:.0f} s"
+    return f"{minutes:.0f} min" if minutes and not rest else f"{seconds:g} s"
