@@ -94,7 +94,7 @@ def _add_episodes(  # type: ignore[no-untyped-def]
          "run simulator, controller and service as separate processes that talk over Zenoh")
     option = episodes.add_argument_group("results").add_argument
     option("--compare", type=Path, metavar="DIR", help="run no episode; read the outcomes in this "
-           "folder, which --out wrote, and write tables, plots and maps of them there")
+           "folder, which --out wrote, and write tables and maps of them there")
     option("--baseline", metavar="NAME", help="with --compare: name of the arm that the others are "
            "compared with (default: the first)")
     dispatch_on_option(

@@ -52,8 +52,6 @@ def test_a_folder_is_compared(folder, capsys):
     assert page.count('href="#w0"') == 4
     assert page.count("<article") == 2
     assert (folder / "results.csv").read_text().startswith("group,arm,metric")
-    assert (folder / "rates.png").exists()
-    assert (folder / "budget.svg").exists()
 
 
 @pytest.mark.parametrize(
