@@ -77,8 +77,6 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
          "budgets are scaled to it")
     option("--recording", metavar="FILE", help="MCAP file to play (default: a simulated run, which "
            "the first `edge bench` makes)")
-    option("--swap", metavar="NAME", help="switch to the detector with this card halfway, to "
-           "measure how much that slows the loop")
     trust_option(bench)
     group = bench.add_argument_group("compare models on the same images")
     option = group.add_argument
@@ -97,7 +95,7 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
         bench, "--models", on=lazy_handler("edge.lab.bench.compare"),
         on_only=("--images", "--providers", "--threads", "--update-cards"),
         off=_bench_service,
-        off_only=("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache"),
+        off_only=("--enforce", "--calibrate", "--recording", "--trust-cache"),
     )
 
 
