@@ -287,7 +287,6 @@ def outcome_of(
         views=logger.recall.views,
         detected=logger.recall.detected,
         false_confirmations=len(logger.false_confirmed),
-        revisited_m2=logger.revisited_m2,
         goals=len(logger.goals),
         tick_ms={key: getattr(latency.tick, f"{key}_ms") for key in ("p50", "p95", "max")},
         score_ms=score.p95_ms,

@@ -33,7 +33,7 @@ SUMMARIES = {
     "conduct": (
         "On the way",
         ("seen", "first_sight_s", "wrong_stops", "false_confirmations", "collisions",
-         "revisited_m2", "zone_entries", "person_contacts", "ghost_s", "answers_right"),
+         "zone_entries", "person_contacts", "ghost_s", "answers_right"),
     ),
     "cost": ("Cost in the tick", ("tick_p95_ms", "score_p95_ms")),
 }  # fmt: skip

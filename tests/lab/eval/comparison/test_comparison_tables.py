@@ -90,7 +90,7 @@ def test_csv_has_every_figure(comparison):
 def test_json_has_everything(comparison):
     data = json.loads(tables.to_json(comparison))
     assert data["arms"]["new"]["sr"]["n"] == 48
-    assert data["arms"]["new"]["revisited_m2"]["interval"]["value"] is None
+    assert data["arms"]["new"]["zone_entries"]["interval"]["value"] is None
     assert data["paired"]["new"]["spl"]["low"] > 0
     assert data["losses"]["new"]["spl"] == pytest.approx(comparison.losses["new"].spl)
     assert (data["baseline"], data["resampled"], data["worlds"]) == ("base", "world", 12)
