@@ -90,8 +90,6 @@ def _add_episodes(  # type: ignore[no-untyped-def]
            "pictures for each episode to this folder")
     option("--workers", type=count, default=workers, metavar="N",
            help="run in N processes of one thread each; 1: in this process")
-    flag(group, "--processes",
-         "run simulator, controller and service as separate processes that talk over Zenoh")
     option = episodes.add_argument_group("results").add_argument
     option("--compare", type=Path, metavar="DIR", help="run no episode; read the outcomes in this "
            "folder, which --out wrote, and write tables and maps of them there")

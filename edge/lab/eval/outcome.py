@@ -59,7 +59,7 @@ class EpisodeOutcome:
         person_contacts: number of the collisions that were with a person. All are the robot's
             fault: no person walks into it. None without people.
         ghost_s: longest time that a cell which a person left stayed occupied in view; None without
-            people, and in separate processes.
+            people.
         answers: by name that was asked for, the answer's verdict (`edge.lab.eval.questions`).
     """
 

@@ -43,7 +43,6 @@ def run_all(
     out: Path | None = None,
     *,
     workers: int = 1,
-    processes: bool = False,
     pages: Path | None = None,
     on_outcome: OnOutcome = lambda number, total, outcome: None,
     stop: threading.Event | None = None,
@@ -51,9 +50,8 @@ def run_all(
     """Run every arm on every episode. Outcomes go to the folder `out` as they come.
 
     Outcomes that are there are used again, except those of crashed episodes and of other
-    configurations. `workers` is the number of processes that run episodes; 1: only this one. With
-    `processes`, each episode runs over Zenoh, with a simulator and a controller process. `pages` is
-    a folder for a report of each episode. `stop` ends the run early.
+    configurations. `workers` is the number of processes that run episodes; 1: only this one.
+    `pages` is a folder for a report of each episode. `stop` ends the run early.
 
     Returns:
         Outcomes in the order of episodes and arms; fewer if the run was stopped early.
@@ -67,9 +65,7 @@ def run_all(
     # An episode has one outcome, a session one for each goal: its `parts`.
     keys = [(part, arm.id) for episode, arm in pairs for part in episode.parts]
     jobs = [
-        EpisodeJob(
-            arm, episode, processes, pages and pages / f"{episode.id.replace('/', '-')}-{arm.name}"
-        )
+        EpisodeJob(arm, episode, pages and pages / f"{episode.id.replace('/', '-')}-{arm.name}")
         for episode, arm in pairs
         if any((part, arm.id) not in usable for part in episode.parts)
     ]
@@ -113,10 +109,8 @@ def run(args: argparse.Namespace) -> int:
     arms = experiment_arms.make_arms(config, _arm_settings(args))
     episodes = _episodes(config, args)
     if any(episode.goals for episode in episodes):
-        if args.processes or args.report:
-            raise UserError(
-                "--processes, --report: not possible with sessions (--goals); omit both options"
-            )
+        if args.report:
+            raise UserError("--report: not possible with sessions (--goals); omit it")
         arms = experiment_arms.with_and_without_memory(arms)
     if args.plan is not None:
         eps.write(args.plan, episodes)
@@ -130,8 +124,8 @@ def run(args: argparse.Namespace) -> int:
             )
     logging.getLogger("edge").setLevel(logging.WARNING)  # each episode logs its mission
     outcomes = run_all(
-        arms, episodes, out, workers=args.workers, processes=args.processes,
-        pages=args.report, on_outcome=lambda *news: print(_outcome_line(*news), flush=True),
+        arms, episodes, out, workers=args.workers, pages=args.report,
+        on_outcome=lambda *news: print(_outcome_line(*news), flush=True),
         stop=stop_on_signals(),
     )  # fmt: skip
     print(f"\n{summary_text(outcomes)}")

@@ -13,7 +13,7 @@ import pytest
 from edge.cli.main import main
 from edge.lab.eval import drive, runs, workers
 from edge.lab.eval.arms import make_arms
-from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.drive import run_episode
 from edge.lab.eval.episodes import Episode, plan, read, write
 from edge.lab.eval.outcome import TIMINGS, EpisodeOutcome, OutcomeFile
 from edge.lab.eval.runs import count_outdated, run_all
@@ -47,7 +47,7 @@ def test_no_tasks_have_no_outcomes():
 
 def test_an_episode_replays_the_same_and_has_its_mission_log(tasks, alone):
     task, first = tasks[0], alone[0]
-    assert exact(run_episode(task.arm, task.episode, in_process)) == exact(first)
+    assert exact(run_episode(task.arm, task.episode)) == exact(first)
     assert first.success
     assert (first.failure, first.wrong_stops, first.left_m) == (None, 0, 0.0)
     assert first.path_m >= first.shortest_m > 0.0
@@ -69,7 +69,7 @@ def fallen(task: EpisodeJob) -> list[EpisodeOutcome]:
     """Stand-in for the worker's run: it crashes at the sofa."""
     if task.episode.target == "sofa":
         os._exit(7)
-    return [run_episode(task.arm, task.episode, in_process)]
+    return [run_episode(task.arm, task.episode)]
 
 
 def serve_fallen(pipe):
@@ -117,7 +117,7 @@ def test_an_episode_ends_though_its_mission_does_not(tasks, monkeypatch):
     monkeypatch.setattr("edge.mission.run.MissionRun.check_limits", lambda *_: None)
     monkeypatch.setattr("edge.loop.service.Service._select", lambda *_: None)
     arm, episode = tasks[0].arm, tasks[0].episode
-    outcome = run_episode(arm, episode, in_process)
+    outcome = run_episode(arm, episode)
     assert outcome.reason == "no end after 66 s"
     assert (outcome.success, outcome.failure) == (False, "stuck")
     assert outcome.elapsed_s == pytest.approx(66.0, abs=0.21)  # a step
@@ -174,7 +174,7 @@ def test_a_mission_with_several_targets_is_judged_at_each(config):
         there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0
     )
     (arm,) = make_arms(config, {})
-    outcome = run_episode(arm, instructed, in_process)
+    outcome = run_episode(arm, instructed)
     assert outcome.success, outcome.reason
     assert (outcome.target, outcome.distance_m) == (None, None)
     assert outcome.reason == "sofa, then bed"
@@ -282,10 +282,10 @@ def test_the_tasks_of_episodes_exclude_each_other(yaml_path, capsys):
     assert "--zones: not allowed with argument --goals" in capsys.readouterr().err
 
 
-def test_a_session_needs_the_simulator_in_this_process(yaml_path, capsys):
-    asked = ["--goals", "2", "--targets", "bed,sofa", "--min-distance", "1", "--processes"]
-    assert main([*COMMAND, yaml_path, *asked]) != 0
-    assert "--processes, --report: not possible with sessions" in capsys.readouterr().err
+def test_a_session_has_no_report(yaml_path, tmp_path, capsys):
+    asked = ["--goals", "2", "--targets", "bed,sofa", "--min-distance", "1"]
+    assert main([*COMMAND, yaml_path, *asked, "--report", str(tmp_path / "pages")]) != 0
+    assert "--report: not possible with sessions" in capsys.readouterr().err
 
 
 def test_a_report_of_every_episode(yaml_path, tmp_path, config):
