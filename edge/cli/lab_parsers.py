@@ -90,10 +90,9 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
            "(default: all that work here)")
     option("--threads", type=count, metavar="N",
            help="number of CPU threads (default: perception.detector.threads)")
-    flag(group, "--update-cards", "write the measured times into the model cards")
     dispatch_on_option(
         bench, "--models", on=lazy_handler("edge.lab.bench.compare"),
-        on_only=("--images", "--providers", "--threads", "--update-cards"),
+        on_only=("--images", "--providers", "--threads"),
         off=_bench_service,
         off_only=("--enforce", "--calibrate", "--recording", "--trust-cache"),
     )
