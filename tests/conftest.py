@@ -68,14 +68,14 @@ from pathlib import Path
 import numpy as np
 from small_house import small_house
 from edge.lab.eval.arms import make_arms
-from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.drive import run_episode
 from edge.lab.eval.episodes import make_episode, sensing_settings
 from edge.lab.eval.trajectory_metrics import frechet_m, ndtw
 with tempfile.TemporaryDirectory() as folder:
     config = small_house(Path(folder), sensors={"lidar": {}})
     world = config.sim.world.model_dump()
     episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, sensing_settings(config), "bed")
-    outcome = run_episode(make_arms(config, {"own": {}})[0], episode, in_process, Path(folder))
+    outcome = run_episode(make_arms(config, {"own": {}})[0], episode, Path(folder))
     assert outcome.success, outcome
 a_m = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 3.0]])
 frechet_m(a_m, a_m[::2] + 0.1), ndtw(a_m, a_m[::2] + 0.1)

@@ -51,11 +51,11 @@ def _add_episodes(  # type: ignore[no-untyped-def]
            "furnished:FILE.jsonl.gz[0:75]), a built-in house (house:NAME) or a mesh with its "
            "objects (MESH.glb,OBJECTS.json) (default: the configuration's sim.world)")
     option("--targets", metavar="NAME,NAME,…", help="objects to find; `common` means sixteen large "
-           "objects of most homes, `vocabulary` all names of $EDGE_VOCABULARY, and `rooms`, with "
-           "--goals, the kinds of rooms; a target that a world lacks is skipped there (default "
+           "objects of most homes, `vocabulary` all names of $EDGE_VOCABULARY, and `rooms` "
+           "the kinds of rooms; a target that a world lacks is skipped there (default "
            "with --worlds: common)")
     option("--min-size", type=float, default=0, metavar="M",
-           help="with --worlds: least size of a target, in m")
+           help="least size of a target, in m")
     option("--starts", type=count, default=starts,
            help="number of start poses for each target in each world")
     option("--per-world", type=count, metavar="N",
@@ -90,11 +90,9 @@ def _add_episodes(  # type: ignore[no-untyped-def]
            "pictures for each episode to this folder")
     option("--workers", type=count, default=workers, metavar="N",
            help="run in N processes of one thread each; 1: in this process")
-    flag(group, "--processes",
-         "run simulator, controller and service as separate processes that talk over Zenoh")
     option = episodes.add_argument_group("results").add_argument
     option("--compare", type=Path, metavar="DIR", help="run no episode; read the outcomes in this "
-           "folder, which --out wrote, and write tables, plots and maps of them there")
+           "folder, which --out wrote, and write tables and maps of them there")
     option("--baseline", metavar="NAME", help="with --compare: name of the arm that the others are "
            "compared with (default: the first)")
     dispatch_on_option(
@@ -163,16 +161,12 @@ def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
 def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
     rooms = kinds.add_parser(
         "rooms",
-        help="explore ProcTHOR houses, compare the rooms found with the true ones, drive to some",
+        help="explore ProcTHOR houses, and compare the rooms found with the true ones",
     )
     config_argument(rooms, "demo")
     option = rooms.add_argument
     option("--worlds", nargs="+", required=True, metavar="WORLDS",
            help="ProcTHOR houses by number: FILE.jsonl.gz[0:75] means houses 0 to 74 of the file")
-    option("--goals", type=int, default=2, metavar="N",
-           help="number of drives in each house, each to a room of another kind")
-    flag(rooms, "--goals-only", "only drive to rooms; do not explore and compare")
-    option("--seed", type=int, default=0, help="seed of the start poses")
     rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", extra="lab"))
 
 

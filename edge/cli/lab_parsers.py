@@ -77,8 +77,6 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
          "budgets are scaled to it")
     option("--recording", metavar="FILE", help="MCAP file to play (default: a simulated run, which "
            "the first `edge bench` makes)")
-    option("--swap", metavar="NAME", help="switch to the detector with this card halfway, to "
-           "measure how much that slows the loop")
     trust_option(bench)
     group = bench.add_argument_group("compare models on the same images")
     option = group.add_argument
@@ -92,12 +90,11 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
            "(default: all that work here)")
     option("--threads", type=count, metavar="N",
            help="number of CPU threads (default: perception.detector.threads)")
-    flag(group, "--update-cards", "write the measured times into the model cards")
     dispatch_on_option(
         bench, "--models", on=lazy_handler("edge.lab.bench.compare"),
-        on_only=("--images", "--providers", "--threads", "--update-cards"),
+        on_only=("--images", "--providers", "--threads"),
         off=_bench_service,
-        off_only=("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache"),
+        off_only=("--enforce", "--calibrate", "--recording", "--trust-cache"),
     )
 
 

@@ -86,20 +86,17 @@ def summary(machine: Description) -> str:
     return "; ".join(parts)
 
 
-def short_name(machine: Description, gpu: str | None = None) -> str:
+def short_name(machine: Description) -> str:
     """Return a short name: the board, or the processor and its cores, and the power mode.
 
     Args:
         machine: as `describe` returns it.
-        gpu: GPU that was used; it comes first. A board's name already implies its GPU.
 
-    >>> short_name({"cpu": "AMD EPYC", "cores": 8}, "NVIDIA L4")
-    'NVIDIA L4, AMD EPYC, 8 cores'
+    >>> short_name({"cpu": "AMD EPYC", "cores": 8})
+    'AMD EPYC, 8 cores'
     """
     jetson = machine.get("jetson", {})
-    parts = [gpu] if gpu else []
-    parts += [machine["cpu"], f"{machine['cores']} cores"]
-    name = jetson.get("model") or ", ".join(parts)
+    name = jetson.get("model") or f"{machine['cpu']}, {machine['cores']} cores"
     return f"{name}, {jetson['power_mode']}" if "power_mode" in jetson else name
 
 

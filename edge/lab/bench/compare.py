@@ -56,11 +56,6 @@ def run(args: argparse.Namespace) -> int:
     # Some families have detectors, some have choice models, and some have both.
     has_choice_model = family in choices.families()
     if has_choice_model and family not in families():
-        if args.update_cards:
-            raise UserError(
-                f"bench --models: --update-cards: {family} has no detector, and only the cards of "
-                "detectors hold measured times; drop --update-cards"
-            )
         return choices.run(family, args, _pictures(args, config))
     todo = variants(family, providers_here(args.providers))
     sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
@@ -72,9 +67,6 @@ def run(args: argparse.Namespace) -> int:
     if has_choice_model:
         print("\n" + choices.as_text(family, found["directions"], pictures))
     print(f"saved to {report.save_report(found, args.json)}")
-    if args.update_cards:
-        for path in report.update_cards(found):
-            print(f"written to {path}")
     ran = any(row["state"] == "ran" for row in found["rows"])
     return 0 if ran or choices.any_ran(found["directions"]) else 1
 

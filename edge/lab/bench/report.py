@@ -1,28 +1,19 @@
-"""Output of `edge bench --models`: a table on the terminal, a JSON file, and the model cards."""
+"""Output of `edge bench --models`: a table on the terminal, and a JSON file."""
 
 from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from edge.config.yaml_text import parse_yaml
-from edge.errors import UserError
 from edge.host import machine, resources
 from edge.host.files import save
-from edge.lab.bench.variants import RUNTIMES
-from edge.perception.runtime.cards import card_path
 from edge.perception.runtime.health import WHY_INVALID
 from edge.text import format_table
 
 Report = dict[str, Any]
 """Figures of a family's variants, as `compare.compare` returns them."""
-_CARD_WIDTH = 110  # of a line in a model card
 
 _HEADINGS = (
     "variant", "on", "pre", "session", "post", "all", "MB", "fp32: recall", "prec.", "score",
@@ -112,76 +103,3 @@ def save_report(report: Report, also: Path | None) -> str:
     for path in paths:
         save(path, text.encode())
     return " and ".join(map(str, paths))
-
-
-def update_cards(report: Report) -> Iterator[Path]:
-    """Write the figures of each variant that ran into its card.
-
-    They replace older figures of the same machine, GPU and provider.
-
-    Yields:
-        The paths of the written cards.
-
-    Raises:
-        UserError: a card cannot be written, such as one of an installed package. The other cards
-            are written first.
-    """
-    ran = [row for row in report["rows"] if row["state"] == "ran"]
-    refused = None
-    for name in dict.fromkeys(row["name"] for row in ran):
-        path = card_path(name)
-        try:
-            _update_card(path, report, [row for row in ran if row["name"] == name])
-        except UserError as error:
-            refused = refused or error
-        else:
-            yield path
-    if refused is not None:
-        raise UserError(
-            f"{refused}; the measured times are only in this output and the --json file"
-        )
-
-
-def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None:
-    """Write the figures; keep the comments at the top and the order of the keys."""
-    text = path.read_text(encoding="utf-8")
-    card = parse_yaml(text)
-    for row in rows:
-        key = f"{row['on']} of {machine.short_name(report['machine'], row['gpu'])}"
-        card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
-    remarks = takewhile(lambda line: line.startswith("#"), text.splitlines(keepends=True))
-    body = yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH)
-    save(path, ("".join(remarks) + body).encode())
-
-
-def card_figures(report: Report, row: dict[str, Any]) -> dict[str, float | int | str]:
-    """Return the figures that a card keeps of one row: flat, without unknown values.
-
-    `file` is the start of the measured file's hash, since the card of a locally made model has
-    none. `others_cores` is the load of other processes, which makes times longer.
-    """
-    times, frames = row["latency_ms"], report["frames"]
-    agreement, truth = row["agreement"] or {}, row["truth"] or {}
-    h, w = frames["hw"][0]  # images of a folder may have more sizes: the smallest one is named
-    found = {
-        "date": report["date"][:10],
-        "file": row["sha256"][:12],
-        "gpu": row["gpu"],
-        "runtime": ", ".join(f"{r} {report['machine'].get(r, '?')}" for r in RUNTIMES[row["on"]]),
-        "threads": report["threads"] if row["on"] == "cpu" else None,
-        "frames": f"{frames['count']} of {w}x{h} px, {frames['source']}",
-        "prompts": len(report["prompts"]),
-        **{f"{stage}_ms": times[stage]["p50"] for stage in ("pre", "session", "post")},
-        "all_p50_ms": times["all"]["p50"],
-        "all_p95_ms": times["all"]["p95"],
-        "others_cores": row["others_cores"],
-        "memory_mb": row["memory_mb"],
-        "gpu_memory_mb": row["gpu_memory_mb"],
-        "tau_det": report["tau_det"],
-        "fp32_recall": agreement.get("recall"),
-        "fp32_precision": agreement.get("precision"),
-        "fp32_score_error": agreement.get("score_error"),
-        "recall": truth.get("recall"),
-        "precision": truth.get("precision"),
-    }
-    return {key: value for key, value in found.items() if value is not None}

@@ -25,6 +25,7 @@ from edge.config import Config, load
 from edge.errors import Stopped, UserError
 from edge.host import calibration, resources
 from edge.host.interruptible import raise_if_stopped
+from edge.host.progress import ProgressBar
 from edge.host.signals import stop_on_signals
 from edge.loop import stages
 
@@ -32,7 +33,6 @@ log = logging.getLogger("edge.lab.bench.service")
 
 RECORDING_S = 60.0  # length of the built-in recording
 _VERSION = 1  # of the built-in recording; a new number makes it again
-_LOG_EVERY_S = 10.0  # recorded time between two lines of progress
 _PLAYER_S = 60.0  # longest wait for the first observation of a recording
 
 Message = tuple[Topic, int, bytes]
@@ -47,12 +47,8 @@ def run(args: argparse.Namespace) -> int:
     config = load(args.config)
     stop = stop_on_signals()
     recording = Path(args.recording) if args.recording else ensure_recording(config, stop=stop)
-    figures = run_bench(config, recording, args.seconds, stop, started_s, args.swap)
+    figures = run_bench(config, recording, args.seconds, stop, started_s)
     print(figures.pop("table"))
-    if args.swap is not None:
-        from edge.lab.bench.swap import table
-
-        print(table(figures["swap"]))
     for name, (value, unit, limit) in figures["verdicts"].items():
         verdict = "ok  " if value <= limit else "OVER"
         print(f"{verdict}  {name:24} {value:9.2f} {unit}   (budget {limit:.3g} {unit})")
@@ -77,24 +73,20 @@ def run_bench(
     seconds: float,
     stop: threading.Event,
     started_s: float = 0.0,
-    swap: str | None = None,
 ) -> dict[str, object]:
     """Run the service on a recording, for `seconds` from the first observation on.
 
-    `started_s`, the time that the interpreter took to start, is part of getting ready. `swap` is a
-    model to swap to at half time.
+    `started_s`, the time that the interpreter took to start, is part of getting ready.
 
     Returns:
         `table` (text), `latency` (the report as a dict), `counters`, and `verdicts`: name → (value,
-            unit, budget). With a swap also `swap` (see `edge.lab.bench.swap`).
+            unit, budget).
 
     Raises:
-        UserError: the recording cannot be read, no tick or no detection happened, or the swap did
-            not end.
+        UserError: the recording cannot be read, or no tick or no detection happened.
         Stopped: `stop` was set before the service was ready.
     """
     began_s = time.perf_counter() - started_s  # imports are part of getting ready
-    from edge.lab.bench import swap as swap_bench
     from edge.launch import open_service, with_free_port
     from edge.loop.runner import loop
     from edge.sources.played import Playback
@@ -125,15 +117,7 @@ def run_bench(
             process = stack.enter_context(player(config, recording))
         is_over = partial(_has_failed, process) if has_topics else lambda seen: playback.is_over
         stop_in_time = _stopwatch(running.source.counters, is_over, seconds, stop)
-        measured_swap = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
-
-        def after_iteration() -> None:
-            stop_in_time()
-            if measured_swap is not None:
-                measured_swap.after_iteration()
-
-        loop(running, stop, each=after_iteration)
-        swap_figures = None if measured_swap is None else measured_swap.figures()
+        loop(running, stop, each=stop_in_time)
         report = running.service.latency.report()
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
@@ -159,9 +143,7 @@ def run_bench(
             "tick p99": (tick.p99_ms, "ms", report.deadline_ms),
             "resident memory": (memory_mb, "MB", stages.MEMORY_BUDGET_MB),
             "ready after": (ready_s, "s", stages.READY_BUDGET_S * slowdown),
-            **({} if swap_figures is None else swap_bench.verdicts(swap_figures)),
         },
-        **({} if swap_figures is None else {"swap": swap_figures}),
     }
 
 
@@ -246,14 +228,12 @@ def ensure_recording(
 def _with_progress(
     messages: Iterable[Message], seconds: float, stop: threading.Event | None
 ) -> Iterator[Message]:
-    """Yield the messages, with a log line every few recorded seconds."""
-    first_ns, logged_s = None, 0.0
-    for message in messages:
-        if stop is not None and stop.is_set():
-            raise Stopped("stopped by request while making the recording of edge bench")
-        first_ns = message[1] if first_ns is None else first_ns
-        done_s = (message[1] - first_ns) * 1e-9
-        if done_s >= logged_s + _LOG_EVERY_S:
-            logged_s = done_s
-            log.info("making the recording: %.0f of %g s", done_s, seconds)
-        yield message
+    """Yield the messages, and show their recorded seconds on a bar."""
+    first_ns = None
+    with ProgressBar("recording", round(seconds)) as bar:
+        for message in messages:
+            if stop is not None and stop.is_set():
+                raise Stopped("stopped by request while making the recording of edge bench")
+            first_ns = message[1] if first_ns is None else first_ns
+            bar.set_done((message[1] - first_ns) // 1_000_000_000)
+            yield message

@@ -22,13 +22,6 @@ PROVIDERS = {
 }
 """Short name of a provider -> onnxruntime's names of it, the preferred one first. TensorRT runs
 inside onnxruntime (`ort-tensorrt`) or without it (`tensorrt`)."""
-RUNTIMES = {
-    "cpu": ("onnxruntime",),
-    "cuda": ("onnxruntime",),
-    "ort-tensorrt": ("onnxruntime", "tensorrt"),
-    "tensorrt": ("tensorrt",),
-}
-"""Short name of a provider -> packages that it needs, whose versions reports name."""
 _PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")  # in the order of the table
 # Precisions whose zero points are not 0: TensorRT refuses them, and CUDA has no kernels for them.
 _CPU_ONLY = ("int8-cpu",)
@@ -83,7 +76,7 @@ def providers_here(asked: str | None) -> list[str]:
     These are all that it has, or those asked for, with commas between.
 
     Raises:
-        UserError: no package of `RUNTIMES` is installed, or none has a provider asked for.
+        UserError: neither onnxruntime nor TensorRT is installed, or none has a provider asked for.
     """
     available = _available()
     if not available:

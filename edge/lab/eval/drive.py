@@ -1,17 +1,11 @@
-"""Runs one episode with one arm, and judges it.
-
-It runs in this process, or with simulator and controller as processes of their own.
-"""
+"""Runs one episode with one arm, in this process and in one thread, and judges it."""
 
 from __future__ import annotations
 
-import json
 import threading
 import time
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,34 +27,18 @@ from edge.loop.latency import LatencyReport
 from edge.loop.warmup import warm_up
 from edge.memory import Site, site_of
 
-if TYPE_CHECKING:
-    import zenoh
-
 TIME_LIMIT_FACTOR = 1.1  # factor on the mission's time limit after which every episode ends
-_LATE_S = 5.0  # longest wait for the simulator's ground truth, over Zenoh
-_POLL_S = 0.001
-_MAX_WAITING = 64  # ground truths that may wait to be read
-
-EpisodeDriver = Callable[
-    [Config, World, Episode, Path | None, threading.Event], tuple[GroundTruthLogger, LatencyReport]
-]
-"""Runs an episode to its end or until the event is set. Writes a report if a folder is given.
-
-Raises:
-    Stopped: the event was set before the end.
-"""
 
 
 def run_episode(
     arm: ExperimentArm,
     episode: Episode,
-    drive: EpisodeDriver,
     page: Path | None = None,
     stop: threading.Event | None = None,
 ) -> EpisodeOutcome:
     """Run one episode with one arm. An error during the run gives a "crashed" outcome.
 
-    `drive` is `in_process` or `over_zenoh`, and `page` a folder for a report of the run.
+    `page` is a folder for a report of the run.
 
     Raises:
         Stopped: `stop` was set.
@@ -69,7 +47,7 @@ def run_episode(
     try:
         config = config_of(arm, episode)
         world = world_list.load(config)
-        logger, latency = drive(config, world, episode, page, stop or threading.Event())
+        logger, latency = _drive(config, world, episode, page, stop or threading.Event())
         return outcome_of(arm, episode, config, world, logger, latency, began_s)
     except Stopped:
         raise
@@ -95,13 +73,14 @@ def config_of(arm: ExperimentArm, episode: Episode) -> Config:
     return parse(data, f"{arm.path}: arm {arm.name}")
 
 
-# -- in this process ------------------------------------------------------------------------------
-
-
-def in_process(
+def _drive(
     config: Config, world: World, episode: Episode, page: Path | None, stop: threading.Event
 ) -> tuple[GroundTruthLogger, LatencyReport]:
-    """Run an episode in one thread, without Zenoh. See `EpisodeDriver`."""
+    """Run an episode to its end. Write a report if a folder is given.
+
+    Raises:
+        Stopped: the event was set before the end.
+    """
     warm_up_once(config)
     site = site_of(episode.site) if episode.site else Site()
     keep_out_m = site.polygons_m("keep_out")
@@ -160,86 +139,6 @@ def truth_of(loop: ClosedLoop) -> GroundTruth:
     )  # fmt: skip
 
 
-# -- over Zenoh -----------------------------------------------------------------------------------
-
-
-def over_zenoh(
-    config: Config, world: World, episode: Episode, page: Path | None, stop: threading.Event
-) -> tuple[GroundTruthLogger, LatencyReport]:
-    """Run an episode with simulator and controller as two child processes. See `EpisodeDriver`."""
-    from edge.launch import child_processes, open_service, with_free_port
-    from edge.loop.runner import loop
-
-    if episode.site or episode.asks:
-        raise UserError(
-            "--processes: episodes with zones or questions cannot run in separate processes; "
-            "omit --processes"
-        )
-    config = with_free_port(config)
-    # The logger is called only later, once `truth` exists.
-    logger = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
-    recorder = ReportRecorder(config)
-    with open_service(config, [logger, recorder], stop=stop) as running:
-        truth = GroundTruthReader(running.session, config)
-        over = threading.Event()  # `child_processes` sets it, too, if a child ends by itself
-
-        def check_stop() -> None:
-            if stop.is_set():
-                over.set()
-
-        with child_processes(config, over, ("sim", "--no-motion"), ("sim", "--motion-only")):
-            loop(running, over, once=True, each=check_stop)
-        if stop.is_set():
-            raise Stopped("episode stopped by request")
-        if page is not None:
-            record = recorder.record(running.service.result(), running.source.counters)
-            write_report(record, page)
-        return logger, running.service.latency.report()
-
-
-class GroundTruthReader:
-    """Ground truth from the simulator over Zenoh: the robot's pose and the object ids, by stamp."""
-
-    def __init__(self, session: zenoh.Session, config: Config) -> None:
-        from edge.bus import topics
-        from edge.bus.session import Ring
-        from edge.sources.truth import SegmentationInbox
-
-        self._ring = Ring(session, config.zenoh.key(topics.GROUND_TRUTH.key), _MAX_WAITING)
-        n_cameras = len(config.sensors.cameras)
-        self._inboxes = [SegmentationInbox(config, session, i) for i in range(n_cameras)]
-        self._heard: dict[int, dict[str, Any]] = {}  # by stamp
-
-    def at(self, stamp_ns: int) -> GroundTruth:
-        """Wait for the ground truth of a stamp and return it.
-
-        Raises:
-            UserError: it did not arrive in time.
-        """
-        until_s = time.monotonic() + _LATE_S
-        while True:
-            for sample in self._ring.take():
-                data = json.loads(sample.payload.to_bytes())
-                self._heard[data["stamp_ns"]] = data
-            pictures = (inbox.at(stamp_ns) for inbox in self._inboxes)
-            picture = next((found for found in pictures if found is not None), None)
-            if stamp_ns in self._heard and picture is not None:
-                break
-            if time.monotonic() > until_s:
-                raise UserError(
-                    f"the simulator sent no ground truth for t = {stamp_ns * 1e-9:.2f} s; see the "
-                    "log above"
-                )
-            time.sleep(_POLL_S)
-        data = self._heard[stamp_ns]
-        self._heard = {t: heard for t, heard in self._heard.items() if t >= stamp_ns}
-        x_m, y_m, yaw_rad = data["pose"]
-        return GroundTruth(
-            x_m, y_m, yaw_rad, data["path_m"], data["collisions"], picture.ids,
-            person_contacts=data["person_contacts"],
-        )  # fmt: skip
-
-
 # -- the outcome ----------------------------------------------------------------------------------
 
 
@@ -287,7 +186,6 @@ def outcome_of(
         views=logger.recall.views,
         detected=logger.recall.detected,
         false_confirmations=len(logger.false_confirmed),
-        revisited_m2=logger.revisited_m2,
         goals=len(logger.goals),
         tick_ms={key: getattr(latency.tick, f"{key}_ms") for key in ("p50", "p95", "max")},
         score_ms=score.p95_ms,

@@ -16,7 +16,6 @@ from edge import names
 from edge.config import Config
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.recall import RecallCounter, visible_boxes
-from edge.lab.eval.revisits import RevisitCounter
 from edge.lab.eval.true_rooms import distance_to_room_m
 from edge.lab.eval.zone_entries import ZoneEntryCounter
 from edge.lab.sim.base import World, WorldObject
@@ -92,8 +91,6 @@ class GroundTruthLogger:
         probable: True if there was such a report, or a person did not confirm one.
         confirmed: by target, the ids of instances that were confirmed correctly.
         false_confirmed: ids of instances that were confirmed but are not the target.
-        revisited_m2: floor that a search saw again after an earlier leg (pursuit of one target) of
-            the mission; None for a single target.
         answers: see `EpisodeOutcome`; the caller sets them.
         recall: counts the views of targets that the detector found.
     """
@@ -128,10 +125,8 @@ class GroundTruthLogger:
         self.probable = False
         self.confirmed: dict[str, set[int]] = {}
         self.false_confirmed: set[int] = set()
-        self.revisited_m2: float | None = None
         self.answers: dict[str, str] = {}
         self.recall = RecallCounter(config.perception.tau_det)
-        self._revisits = RevisitCounter(config, world, self._range_m)
         radius_m = config.robot.radius_m
         self._zones = ZoneEntryCounter(keep_out_m, radius_m) if len(keep_out_m) else None
         self._began_ns = 0
@@ -164,10 +159,7 @@ class GroundTruthLogger:
                 self.recall.update(found, boxes, self._target_masks)
         if result.events:
             self._judge_reports(result, truth)
-        instances = result.instances()
-        self._judge_instances(instances)
-        if len(result.targets) > 1:
-            self._add_revisits(result.status.target, instances, truth)
+        self._judge_instances(result.instances())
 
     def _begin(self, targets: Collection[str], truth: GroundTruth, stamp_ns: int) -> None:
         self.objects = {target: objects_meant_by(self._world, target) for target in targets}
@@ -220,17 +212,6 @@ class GroundTruthLogger:
             x, y = instance.center_m[:2].tolist()
             is_right = self.distance_to_target_m(instance.label, x, y) <= SAME_M
             (right_ids if is_right else self.false_confirmed).add(instance.id)
-
-    def _add_revisits(self, target: str, instances: Sequence[Instance], truth: GroundTruth) -> None:
-        """Count revisited floor. A leg ends if the target changes or is reached."""
-        known = [
-            i.center_m[:2] for i in instances if i.label == target and i.state in CONFIRMED_STATES
-        ]
-        where = truth.x_m, truth.y_m, truth.yaw_rad
-        # The number of stops distinguishes two legs with the same target.
-        leg, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
-        self._revisits.update(leg, target, known_xy_m, *where)
-        self.revisited_m2 = self._revisits.revisited_m2
 
     # -- the outcome ------------------------------------------------------------------------------
 

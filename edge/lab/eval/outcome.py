@@ -44,8 +44,6 @@ class EpisodeOutcome:
         first_sight_path_m: length of the path driven until then.
         wrong_stops: number of `reached` reports that were wrong.
         false_confirmations: number of confirmed instances that are not the target.
-        revisited_m2: floor that a mission's searches saw again after an earlier leg
-            (`edge.lab.eval.revisits`), which is the pursuit of one target; None for one target.
         goals: number of goals (poses to drive to) that the service sent.
         tick_ms: p50, p95 and max of the tick.
         score_ms: p95 of the stage that scores the candidates.
@@ -61,7 +59,7 @@ class EpisodeOutcome:
         person_contacts: number of the collisions that were with a person. All are the robot's
             fault: no person walks into it. None without people.
         ghost_s: longest time that a cell which a person left stayed occupied in view; None without
-            people, and in separate processes.
+            people.
         answers: by name that was asked for, the answer's verdict (`edge.lab.eval.questions`).
     """
 
@@ -87,7 +85,6 @@ class EpisodeOutcome:
     first_sight_path_m: float | None = None
     wrong_stops: int = 0
     false_confirmations: int = 0
-    revisited_m2: float | None = None
     goals: int = 0
     tick_ms: dict[str, float | None] = field(default_factory=dict)
     score_ms: float | None = None

@@ -43,7 +43,6 @@ def run_all(
     out: Path | None = None,
     *,
     workers: int = 1,
-    processes: bool = False,
     pages: Path | None = None,
     on_outcome: OnOutcome = lambda number, total, outcome: None,
     stop: threading.Event | None = None,
@@ -51,9 +50,8 @@ def run_all(
     """Run every arm on every episode. Outcomes go to the folder `out` as they come.
 
     Outcomes that are there are used again, except those of crashed episodes and of other
-    configurations. `workers` is the number of processes that run episodes; 1: only this one. With
-    `processes`, each episode runs over Zenoh, with a simulator and a controller process. `pages` is
-    a folder for a report of each episode. `stop` ends the run early.
+    configurations. `workers` is the number of processes that run episodes; 1: only this one.
+    `pages` is a folder for a report of each episode. `stop` ends the run early.
 
     Returns:
         Outcomes in the order of episodes and arms; fewer if the run was stopped early.
@@ -67,9 +65,7 @@ def run_all(
     # An episode has one outcome, a session one for each goal: its `parts`.
     keys = [(part, arm.id) for episode, arm in pairs for part in episode.parts]
     jobs = [
-        EpisodeJob(
-            arm, episode, processes, pages and pages / f"{episode.id.replace('/', '-')}-{arm.name}"
-        )
+        EpisodeJob(arm, episode, pages and pages / f"{episode.id.replace('/', '-')}-{arm.name}")
         for episode, arm in pairs
         if any((part, arm.id) not in usable for part in episode.parts)
     ]
@@ -113,10 +109,8 @@ def run(args: argparse.Namespace) -> int:
     arms = experiment_arms.make_arms(config, _arm_settings(args))
     episodes = _episodes(config, args)
     if any(episode.goals for episode in episodes):
-        if args.processes or args.report:
-            raise UserError(
-                "--processes, --report: not possible with sessions (--goals); omit both options"
-            )
+        if args.report:
+            raise UserError("--report: not possible with sessions (--goals); omit it")
         arms = experiment_arms.with_and_without_memory(arms)
     if args.plan is not None:
         eps.write(args.plan, episodes)
@@ -130,8 +124,8 @@ def run(args: argparse.Namespace) -> int:
             )
     logging.getLogger("edge").setLevel(logging.WARNING)  # each episode logs its mission
     outcomes = run_all(
-        arms, episodes, out, workers=args.workers, processes=args.processes,
-        pages=args.report, on_outcome=lambda *news: print(_outcome_line(*news), flush=True),
+        arms, episodes, out, workers=args.workers, pages=args.report,
+        on_outcome=lambda *news: print(_outcome_line(*news), flush=True),
         stop=stop_on_signals(),
     )  # fmt: skip
     print(f"\n{summary_text(outcomes)}")
@@ -168,22 +162,23 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
         return eps.read(args.episodes)[: args.limit]
     worlds = world_list.world_sections(args.worlds or ())
     targets = _targets(args.targets or ("common" if worlds else DEFAULT_TARGETS))
-    if args.goals is None and (rooms := ROOM_KINDS.keys() & targets):
+    if (args.missions or args.ask) and (rooms := ROOM_KINDS.keys() & targets):
         raise UserError(
-            f"--targets: {', '.join(sorted(rooms))}: rooms are goals of sessions only; add --goals"
+            f"--targets: {', '.join(sorted(rooms))}: --missions and --ask take no rooms; omit them"
         )
     if not targets:
         raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")
     given, seed, least_m = (config, worlds, targets), args.seed, args.min_distance
+    limit = args.limit
     if args.goals is not None:
-        planned = plan_sessions(*given, args.goals, seed, least_m, args.moved)
+        planned = plan_sessions(*given, args.goals, seed, least_m, args.moved, limit)
     elif args.ask:
-        planned = plan_questions(*given, seed)
+        planned = plan_questions(*given, seed, limit)
     elif args.missions is not None:
-        planned = eps.plan_missions(*given, args.missions, seed, least_m)
+        planned = eps.plan_missions(*given, args.missions, seed, least_m, limit)
     else:
-        planned = eps.plan(*given, args.starts, seed, least_m, args.per_world, args.min_size)
-    planned = planned[: args.limit]
+        of_world = args.per_world, args.min_size
+        planned = eps.plan(*given, args.starts, seed, least_m, *of_world, limit)
     return with_zones(config, planned, args.seed) if args.zones else planned
 
 

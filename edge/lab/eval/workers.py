@@ -20,7 +20,7 @@ import cv2
 
 from edge.errors import Stopped
 from edge.lab.eval.arms import ExperimentArm
-from edge.lab.eval.drive import in_process, over_zenoh, run_episode
+from edge.lab.eval.drive import run_episode
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.interrupts import holding_interrupts, ignore_interrupts
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
@@ -39,13 +39,11 @@ class EpisodeJob(NamedTuple):
     """One episode to run with one arm.
 
     Attributes:
-        processes: run over Zenoh, with simulator and controller as processes.
         page: folder for a report; None: no report.
     """
 
     arm: ExperimentArm
     episode: Episode
-    processes: bool = False
     page: Path | None = None
 
 
@@ -57,8 +55,7 @@ def run_job(job: EpisodeJob, stop: threading.Event | None = None) -> list[Episod
     """
     if job.episode.goals:
         return run_session(job.arm, job.episode, stop)
-    drive = over_zenoh if job.processes else in_process
-    return [run_episode(job.arm, job.episode, drive, job.page, stop)]
+    return [run_episode(job.arm, job.episode, job.page, stop)]
 
 
 def run_in_process(jobs: Iterable[EpisodeJob], stop: threading.Event) -> Iterator[EpisodeOutcome]:

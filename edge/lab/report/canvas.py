@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
-import numpy as np
-
 from edge.host.files import save
 from edge.lab.report import palette
 
@@ -90,36 +88,6 @@ def plots(
         for axis in (axes.xaxis, axes.yaxis):
             axis.label.set_color(palette.INK)
     return figure, all_axes
-
-
-def draw_curve(
-    axes: Axes,
-    x: Sequence[float],
-    found: Sequence[tuple[float, float, float]],
-    index: int,
-    label: str,
-) -> None:
-    """Draw values over x as a line, in the look of this index.
-
-    `found` has each value with its lower and upper bound, which become a bar; NaN for no bounds.
-    """
-    look = style_of(index)
-    value, low, high = np.array(found, np.float64).reshape(-1, 3).T
-    bars = np.nan_to_num(np.maximum([value - low, high - value], 0.0))
-    axes.errorbar(
-        x, value, bars, color=look.colour, linestyle=look.dash, marker=look.mark, markersize=5.5,
-        linewidth=1.6, elinewidth=1.0, label=label,
-    )  # fmt: skip
-
-
-def draw_legend(axes: Axes) -> None:
-    """Draw the legend of the curves right of the plot, where it covers no data."""
-    legend = axes.legend(
-        loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, handlelength=3.0,
-        labelcolor=palette.INK,
-    )  # fmt: skip
-    for label in legend.get_texts():
-        label.set_parse_math(False)
 
 
 def write(axes: Axes, text: str, x: float, y: float, size: float, **style: Any) -> None:

@@ -35,7 +35,7 @@ from edge.lab.bench.boxes import (
 )
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
-from edge.perception.runtime.cards import card_path, load_detector_card
+from edge.perception.runtime.cards import load_detector_card
 
 SOFA, CHAIR = [0, 0, 40, 40], [60, 60, 80, 100]
 
@@ -300,13 +300,13 @@ def test_if_no_model_runs_each_row_gives_the_reason(place, capsys):
     assert "Traceback" not in out
 
 
-def test_every_variant_has_its_own_row_and_card(place, tmp_path, capsys):
+def test_every_variant_has_its_own_row(place, tmp_path, capsys):
     place("tiny-fp32", model_bytes(-1.0))
     place("tiny-crash", model_bytes(0.0), "fp16")
     place("tiny-int8-cpu", model_bytes(-1.5), "int8-cpu")
     place("tiny-int8-trt", None, "int8-trt")
     kept = tmp_path / "out" / "figures.json"
-    options = ("demo", "--json", str(kept), "--update-cards", "--threads", "1")
+    options = ("demo", "--json", str(kept), "--threads", "1")
     assert bench("tiny", *options, "--providers", "cpu") == 0
     kept_report = json.loads(kept.read_text())
     fp32, crashed, int8, missing = kept_report["rows"]
@@ -334,13 +334,6 @@ def test_every_variant_has_its_own_row_and_card(place, tmp_path, capsys):
     (own,) = (resources.cache_dir() / "bench").iterdir()
     assert own.name.startswith("tiny-20")
     assert json.loads(own.read_text()) == kept_report
-    (measured,) = load_detector_card("tiny-int8-cpu").measured.items()
-    assert measured[0].startswith("cpu of ")
-    assert measured[1]["fp32_recall"] == 1.0
-    assert measured[1]["file"] == load_detector_card("tiny-int8-cpu").sha256[:12]
-    assert measured[1]["session_ms"] == int8["latency_ms"]["session"]["p50"]
-    assert card_path("tiny-int8-cpu").read_text().startswith("# A remark.\nderived_from: ")
-    assert load_detector_card("tiny-crash").measured == {}
 
 
 def test_a_folder_of_images_gives_no_truth(place, tmp_path, capsys):
@@ -372,42 +365,6 @@ ROW = {
     "memory_mb": 1.0, "gpu_memory_mb": None, "others_cores": None, "agreement": None,
     "truth": None, "latency_ms": compare.latency_ms(np.full((2, 3), 1_000_000)),
 }  # fmt: skip
-
-
-def test_figures_are_saved_in_the_folder_of_the_card(place, tmp_path, monkeypatch):
-    def refuse_the_package(path, content):
-        if path.parent == resources.data_dir("models"):
-            raise PermissionError(13, "Permission denied")
-        path.write_bytes(content)
-
-    place("tiny-fp32", None)
-    shipped = card_path("tiny-fp32")
-    own = resources.models_dir() / "tiny-own.yaml"
-    own.write_text(shipped.read_text().replace("tiny-fp32", "tiny-own"))
-    monkeypatch.setattr("edge.host.files.write_atomically", refuse_the_package)
-    written = report.update_cards({**REPORT, "rows": [ROW, {**ROW, "name": "tiny-own"}]})
-    assert next(written) == own
-    with pytest.raises(UserError, match=r"^\S*fp32.yaml: cannot be written: Permission denied; "):
-        next(written)
-    assert load_detector_card("tiny-own").measured.keys() == {"cpu of x, 2 cores"}
-
-
-def test_figures_of_several_devices_share_a_card(place):
-    place("tiny-fp32", None)
-    both = "onnxruntime 1.23.0, tensorrt 10.3.0"
-    ran = (
-        ("cpu", None, "cpu of x, 2 cores", "onnxruntime 1.23.0"),
-        ("cuda", "L4", "cuda of L4, x, 2 cores", "onnxruntime 1.23.0"),
-        ("cuda", "H100", "cuda of H100, x, 2 cores", "onnxruntime 1.23.0"),
-        ("ort-tensorrt", "L4", "ort-tensorrt of L4, x, 2 cores", both),
-        ("tensorrt", "L4", "tensorrt of L4, x, 2 cores", "tensorrt 10.3.0"),
-    )
-    for on, gpu, _, _ in ran:
-        list(report.update_cards({**REPORT, "rows": [{**ROW, "on": on, "gpu": gpu}]}))
-    measured = load_detector_card("tiny-fp32").measured
-    kept = [(key, of.get("gpu"), of["runtime"]) for key, of in measured.items()]
-    assert kept == [(key, gpu, runtime) for _, gpu, key, runtime in ran]
-    assert set(variants.RUNTIMES) == set(variants.PROVIDERS)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from small_house import small_house
 from edge.geometry import SE2
 from edge.lab.eval.arms import make_arms
 from edge.lab.eval.bounds import KnownPlace, KnownRoom
-from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.drive import run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.sim.worlds import load_world
 from edge.policies.base import FRONTIER, INSTANCE, SPIN, Candidates, PolicyInput
@@ -78,6 +78,6 @@ def test_evaluations_drive_with_the_truth(tmp_path, kind):
     config = small_house(tmp_path, mission={"time_limit_s": 60.0})
     (arm,) = make_arms(config, {"bound": {"policy": {"kind": kind, "spin": True}}})
     (episode,) = plan(config, [], ["bed"], 1, 0, 4.0)
-    outcome = run_episode(arm, episode, in_process)
+    outcome = run_episode(arm, episode)
     assert outcome.success, outcome.reason
     assert outcome.path_m < 1.3 * outcome.shortest_m

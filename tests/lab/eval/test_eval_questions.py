@@ -8,7 +8,7 @@ from small_house import small_house
 from edge.errors import UserError
 from edge.lab.eval.arms import make_arms
 from edge.lab.eval.comparison.outcomes import gather
-from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.drive import run_episode
 from edge.lab.eval.questions import plan_questions
 
 
@@ -34,7 +34,7 @@ def test_answers_are_judged_by_the_world(tmp_path, background, expected):
     config = config_of(tmp_path, background=background)
     (planned,) = plan_questions(config, [], ["bed", "sofa"], 0)
     (arm,) = make_arms(config, {"search": {"policy": {"kind": "search"}}})
-    outcome = run_episode(arm, planned, in_process)
+    outcome = run_episode(arm, planned)
     assert outcome.success, outcome.reason
     assert outcome.answers == expected
     found = gather([outcome])

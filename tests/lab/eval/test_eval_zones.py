@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from edge.errors import UserError
 from edge.lab.eval.arms import make_arms
-from edge.lab.eval.drive import in_process, over_zenoh, run_episode
+from edge.lab.eval.drive import run_episode
 from edge.lab.eval.episodes import make_episode, plan, read, sensing_settings, write
 from edge.lab.eval.zone_entries import ZoneEntryCounter, distance_m
 from edge.lab.eval.zones import with_zones
@@ -97,14 +97,6 @@ def zoned(config, *polygons):
 def test_a_robot_keeps_out_of_a_closed_door(config):
     episode = zoned(config, ((3.7, 1.0), (4.3, 1.0), (4.3, 3.0), (3.7, 3.0)))
     (arm,) = make_arms(config, {})
-    outcome = run_episode(arm, episode, in_process)
+    outcome = run_episode(arm, episode)
     assert (outcome.success, outcome.zone_entries, outcome.ways) == (False, 0, "closed")
     assert outcome.path_m > 1.0  # it looked for another way
-
-
-def test_zones_need_the_simulator_in_this_process(config):
-    episode = zoned(config, ((3.7, 1.0), (4.3, 1.0), (4.3, 3.0)))
-    (arm,) = make_arms(config, {})
-    outcome = run_episode(arm, episode, over_zenoh)
-    assert outcome.reason.startswith("crashed: --processes: episodes with zones or questions ")
-    assert outcome.reason.endswith("; omit --processes")

@@ -13,7 +13,7 @@ import pytest
 from edge.cli.main import main
 from edge.lab.eval import drive, runs, workers
 from edge.lab.eval.arms import make_arms
-from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.drive import run_episode
 from edge.lab.eval.episodes import Episode, plan, read, write
 from edge.lab.eval.outcome import TIMINGS, EpisodeOutcome, OutcomeFile
 from edge.lab.eval.runs import count_outdated, run_all
@@ -47,7 +47,7 @@ def test_no_tasks_have_no_outcomes():
 
 def test_an_episode_replays_the_same_and_has_its_mission_log(tasks, alone):
     task, first = tasks[0], alone[0]
-    assert exact(run_episode(task.arm, task.episode, in_process)) == exact(first)
+    assert exact(run_episode(task.arm, task.episode)) == exact(first)
     assert first.success
     assert (first.failure, first.wrong_stops, first.left_m) == (None, 0, 0.0)
     assert first.path_m >= first.shortest_m > 0.0
@@ -69,7 +69,7 @@ def fallen(task: EpisodeJob) -> list[EpisodeOutcome]:
     """Stand-in for the worker's run: it crashes at the sofa."""
     if task.episode.target == "sofa":
         os._exit(7)
-    return [run_episode(task.arm, task.episode, in_process)]
+    return [run_episode(task.arm, task.episode)]
 
 
 def serve_fallen(pipe):
@@ -117,7 +117,7 @@ def test_an_episode_ends_though_its_mission_does_not(tasks, monkeypatch):
     monkeypatch.setattr("edge.mission.run.MissionRun.check_limits", lambda *_: None)
     monkeypatch.setattr("edge.loop.service.Service._select", lambda *_: None)
     arm, episode = tasks[0].arm, tasks[0].episode
-    outcome = run_episode(arm, episode, in_process)
+    outcome = run_episode(arm, episode)
     assert outcome.reason == "no end after 66 s"
     assert (outcome.success, outcome.failure) == (False, "stuck")
     assert outcome.elapsed_s == pytest.approx(66.0, abs=0.21)  # a step
@@ -174,7 +174,7 @@ def test_a_mission_with_several_targets_is_judged_at_each(config):
         there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0
     )
     (arm,) = make_arms(config, {})
-    outcome = run_episode(arm, instructed, in_process)
+    outcome = run_episode(arm, instructed)
     assert outcome.success, outcome.reason
     assert (outcome.target, outcome.distance_m) == (None, None)
     assert outcome.reason == "sofa, then bed"
@@ -225,7 +225,7 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
 def test_the_textured_benchmark_has_its_own_defaults(yaml_path, tmp_path, monkeypatch):
     asked: list[Any] = []
 
-    def planned(config, worlds, targets, starts, seed, distance, per_world, size):
+    def planned(config, worlds, targets, starts, seed, distance, per_world, size, limit):
         asked.append((len(worlds), worlds[0]["seed"], targets, starts, per_world))
         return [Episode("id", worlds[0], (0.0, 0.0, 0.0), "bed", None, 5.0, {})]
 
@@ -260,6 +260,15 @@ def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
     assert [j.episode.id for j in jobs] == [str(k) for k in range(len(waiting)) if k != taken]
 
 
+def test_a_target_may_be_a_room(config):
+    (there,) = plan(config, [], ["living room"], 1, 0, 2.0)
+    (arm,) = make_arms(config, {})
+    outcome = run_episode(arm, there)
+    found = outcome.success, outcome.target, outcome.distance_m
+    assert found == (True, "living room", 0.0), outcome.reason
+    assert 2.0 <= outcome.shortest_m <= outcome.path_m
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -269,6 +278,7 @@ def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
         (["--episodes", "nowhere.jsonl"], "nowhere.jsonl"),
         (["--worlds", "demo"], "--worlds demo: no such world"),
         (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),
+        (["--ask", "--targets", "bed,kitchen"], "--targets: kitchen: --missions and --ask take no"),
     ],
 )
 def test_invalid_options_are_reported_before_the_run(yaml_path, capsys, options, message):
@@ -282,10 +292,10 @@ def test_the_tasks_of_episodes_exclude_each_other(yaml_path, capsys):
     assert "--zones: not allowed with argument --goals" in capsys.readouterr().err
 
 
-def test_a_session_needs_the_simulator_in_this_process(yaml_path, capsys):
-    asked = ["--goals", "2", "--targets", "bed,sofa", "--min-distance", "1", "--processes"]
-    assert main([*COMMAND, yaml_path, *asked]) != 0
-    assert "--processes, --report: not possible with sessions" in capsys.readouterr().err
+def test_a_session_has_no_report(yaml_path, tmp_path, capsys):
+    asked = ["--goals", "2", "--targets", "bed,sofa", "--min-distance", "1"]
+    assert main([*COMMAND, yaml_path, *asked, "--report", str(tmp_path / "pages")]) != 0
+    assert "--report: not possible with sessions" in capsys.readouterr().err
 
 
 def test_a_report_of_every_episode(yaml_path, tmp_path, config):

@@ -141,21 +141,3 @@ def test_narrower_kinds_count_as_for_the_service(target, labels):
     ]
     world = SimpleNamespace(objects=objects)
     assert [obj.label for obj in objects_meant_by(world, target)] == labels
-
-
-def test_area_seen_by_an_earlier_search_counts_as_revisited(tmp_path):
-    stage = Stage(tmp_path, ("bed", "sofa"))
-    assert stage.logger.revisited_m2 == 0.0
-    stage.tick(1.0, target="sofa")
-    seen_m2 = stage.logger.revisited_m2
-    assert seen_m2 > 1.0
-    stage.tick(2.0, target="sofa")
-    assert stage.logger.revisited_m2 == seen_m2
-
-
-def test_driving_to_a_known_object_counts_no_revisits(tmp_path):
-    stage = Stage(tmp_path, ("sofa", "bed"))
-    stage.tick(1.0, target="sofa")
-    before_m2 = stage.logger.revisited_m2
-    stage.tick(2.0, target="bed", instances=[instance(1, BED)])
-    assert stage.logger.revisited_m2 == before_m2

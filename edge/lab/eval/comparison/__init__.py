@@ -1,4 +1,4 @@
-"""Comparison of experiment arms: figures with intervals, tables, plots, and a page.
+"""Comparison of experiment arms: figures with intervals, tables, and a page.
 
 It reads outcomes and loads their worlds. It runs no episode.
 """

@@ -23,7 +23,7 @@ def _share_right(answers: dict[str, str]) -> float | None:
 # Fields of `EpisodeOutcome` that are numbers; None becomes NaN.
 _FIELDS = (
     "success", "shortest_m", "path_m", "elapsed_s", "wall_s", "left_m", "collisions",
-    "first_sight_s", "first_sight_path_m", "wrong_stops", "false_confirmations", "revisited_m2",
+    "first_sight_s", "first_sight_path_m", "wrong_stops", "false_confirmations",
     "views", "detected", "zone_entries", "person_contacts", "ghost_s",
 )  # fmt: skip
 # By name, the reader of an outcome's number.

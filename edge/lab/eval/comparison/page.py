@@ -1,4 +1,4 @@
-"""Builds the self-contained page of a comparison: tables, plots, and every trail on its map.
+"""Builds the self-contained page of a comparison: tables, and every trail on its map.
 
 The maps are static. A short script sorts and filters them.
 """
@@ -12,13 +12,12 @@ from importlib.resources import files
 
 import numpy as np
 
-from edge.lab.eval.comparison import plots, tables, trails
+from edge.lab.eval.comparison import tables, trails
 from edge.lab.eval.comparison.statistics import Comparison, spl_of
 from edge.lab.eval.comparison.trails import TrailBackground
 from edge.lab.eval.comparison.worlds import FloorPlanDrawing
 from edge.lab.eval.outcome import FAILURES
-from edge.lab.report import canvas
-from edge.lab.report.document import data_url, document
+from edge.lab.report.document import document
 from edge.text import one_line
 
 
@@ -32,7 +31,6 @@ def html(
     body = (
         f'<header><h1>{escape(title)}</h1><p class="reason">{words}</p></header>',
         *(tables.html(table) for table in tables.tables(comparison)),
-        _plots(comparison),
         _trails(comparison, drawings),
     )
     script = files(__package__).joinpath("page.js").read_text(encoding="utf-8")
@@ -40,15 +38,6 @@ def html(
     style += "".join(f".t{k}{{stroke:{colour}}}" for k, colour in enumerate(trails.RAMP))
     style += "".join(f'.hide{a} [data-c="{a}"]{{display:none}}' for a in range(len(outcomes.arms)))
     return document(title, "".join(body), machine, style, script)
-
-
-def _plots(comparison: Comparison) -> str:
-    figures = "".join(
-        f'<figure><img alt="{escape(plots.PLOTS[name][1])}" '
-        f'src="{data_url("png", canvas.content(figure, "png"))}"></figure>'
-        for name, figure in plots.figures(comparison).items()
-    )
-    return f'<section><h2>Plots</h2><div class="plots">{figures}</div></section>' if figures else ""
 
 
 def _trails(comparison: Comparison, drawings: Mapping[str, FloorPlanDrawing]) -> str:

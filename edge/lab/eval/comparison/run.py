@@ -1,4 +1,4 @@
-"""`edge eval episodes --compare`: tables, plots and one page of a folder of outcomes."""
+"""`edge eval episodes --compare`: tables and one page of a folder of outcomes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from edge.host.files import save
 from edge.host.progress import with_progress
 from edge.lab.eval import episodes, world_list
 from edge.lab.eval.arms import merged
-from edge.lab.eval.comparison import page, plots, tables, worlds
+from edge.lab.eval.comparison import page, tables, worlds
 from edge.lab.eval.comparison.outcomes import Outcomes, baseline_of, gather
 from edge.lab.eval.comparison.statistics import Comparison, compare
 from edge.lab.eval.intervals import intervals_note
 from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, read_outcomes
-from edge.lab.report import canvas
 from edge.lab.report.recorder import machine
 from edge.text import one_line
 
 EPISODES_NAME = "episodes.jsonl"  # in the folder of the outcomes
-CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html"
+JSON_NAME, PAGE_NAME = "results.json", "comparison.html"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,14 +31,12 @@ def run(args: argparse.Namespace) -> int:
     comparison, drawings = compare_folder(args.compare, args.baseline)
     print(text(comparison))
     content = {
-        CSV_NAME: tables.to_csv(comparison),
         JSON_NAME: tables.to_json(comparison),
         PAGE_NAME: page.html(comparison, drawings, args.compare.resolve().name, machine()).encode(),
     }
     for name, data in content.items():
         save(args.compare / name, data)
-    paths = canvas.save_plots(plots.figures(comparison), args.compare)
-    print("\n".join(map(str, ["", *(args.compare / name for name in content), *paths])))
+    print("\n".join(map(str, ["", *(args.compare / name for name in content)])))
     return 0
 
 

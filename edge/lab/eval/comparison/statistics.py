@@ -99,9 +99,6 @@ METRICS: dict[str, ComparisonMetric] = {
     "false_confirmations": ComparisonMetric(
         "false conf.", 2, "confirmed objects that are not the target, per episode"
     ),
-    "revisited_m2": ComparisonMetric(
-        "seen again, m²", 1, "floor that a search saw after an earlier search of the mission"
-    ),
     "zone_entries": ComparisonMetric(
         "zone entries", 3, "of the footprint into keep-out zones, per episode"
     ),

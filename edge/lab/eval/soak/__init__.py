@@ -1,5 +1,5 @@
 """Endurance test: the service with a simulated robot in real time, for hours, under faults.
 
 `faults` is the table of faults, `rules` the table of requirements. The service and the robot are
-processes, as on a robot. Only the sink of `jitter` runs in the service.
+processes, as on a robot.
 """

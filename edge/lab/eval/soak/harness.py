@@ -23,7 +23,6 @@ from edge.bus import topics
 from edge.bus.client import send_request
 from edge.bus.session import zenoh_session
 from edge.config import Config, DetectorOnnx, WorldGenerated, ZenohConfig
-from edge.config.loop import SinkConfig
 from edge.config.yaml_text import read_yaml
 from edge.errors import UserError
 from edge.host import resources
@@ -37,8 +36,6 @@ from edge.lab.eval.soak.log import PipeLog
 from edge.lab.eval.soak.relay import Relay
 from edge.perception.runtime.cards import card_path, load_detector_card
 
-# A sink that publishes the timing of the service's loop.
-JITTER_SINK = SinkConfig(kind="edge.lab.eval.soak.jitter:JitterSink")
 TWIN, BROKEN = "soak-twin", "soak-broken"
 """Names of models: a copy of the configured one, and one that cannot be loaded."""
 ANSWER_S = 5.0  # longest wait for an answer to a request
@@ -69,7 +66,7 @@ def soak_config(config: Config, out: Path) -> Config:
             "zenoh": config.zenoh.model_copy(update=zenoh),
             "http": config.http.model_copy(update=http),
             "mission": config.mission.model_copy(update=checkpoint),
-            "sinks": (*recordings.move_folders(config.sinks, out), JITTER_SINK),
+            "sinks": recordings.move_folders(config.sinks, out),
         }
     )
 

@@ -19,7 +19,6 @@ from prometheus_client.parser import text_string_to_metric_families
 from edge.bus import topics
 from edge.host.checkpoint import CheckpointFormat
 from edge.host.processes import usage
-from edge.lab.eval.soak import jitter
 from edge.lab.eval.soak.harness import SoakHarness
 from edge.lab.eval.soak.recordings import RecordingCheck
 from edge.loop.checkpoints.map_checkpoint import MAP, SUFFIX
@@ -29,7 +28,6 @@ from edge.text import read_json_object
 
 log = logging.getLogger("edge.lab.eval.soak")
 
-_MAX_BEATS = 4096  # jitter messages to keep; one comes each second
 _MINUTE_S = 60.0
 _DROPPED = "edge_source_dropped_total"  # metric of `/metrics`
 _LINE_START = re.compile(r"\d\d:\d\d:\d\d")  # time at the start of a log record
@@ -41,7 +39,8 @@ class SoakMonitor:
     The soak's own thread reads the attributes. Times are `time.monotonic` in seconds.
 
     Attributes:
-        beats: (time, message) of the newest messages of `edge.lab.eval.soak.jitter`, oldest first.
+        beats: (time, ticks since the start) of the newest three latency messages, oldest first. The
+            loop sends one each second, with or without an observation.
         ready_problems: problems that `/readyz` reported in the last sample.
         is_ready: `/readyz` was 200 in the last sample.
         healthy_s: time at which `/healthz` was last 200.
@@ -58,8 +57,7 @@ class SoakMonitor:
         self._harness = harness
         self._lock = threading.Lock()
         self.status: dict[str, Any] = {}
-        self.latency: dict[str, Any] = {}
-        self.beats: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_MAX_BEATS)
+        self.beats: deque[tuple[float, int]] = deque(maxlen=3)
         self.status_s = self.healthy_s = self.sampled_s = self.began_s = time.monotonic()
         self.ready_problems: tuple[str, ...] = ()
         self.is_ready = False
@@ -74,7 +72,6 @@ class SoakMonitor:
             topics.STATUS.key: self._on_status,
             topics.LATENCY.key: self._on_latency,
             topics.GOAL_STATUS.key: self._on_goal_status,
-            jitter.KEY: self._on_beat,
         }
         for key, handle in handlers.items():
             full_key = harness.config.zenoh.key(key)
@@ -97,12 +94,9 @@ class SoakMonitor:
         self.status, self.status_s = message, time.monotonic()
 
     def _on_latency(self, message: dict[str, Any]) -> None:
-        self.latency = message
-
-    def _on_beat(self, message: dict[str, Any]) -> None:
-        self.beats.append((time.monotonic(), message))
-        if self.calm and message["ticks"]:
-            self._calm_hz.append(message["ticks"] / message["seconds"])
+        self.beats.append((time.monotonic(), message["tick"]["count"]))
+        if self.calm and (hz := _rate_hz(list(self.beats)[-2:])):
+            self._calm_hz.append(hz)
 
     def _on_goal_status(self, message: dict[str, Any]) -> None:
         if isinstance(state := message.get("state"), str) and state in ("reached", "failed"):
@@ -126,30 +120,24 @@ class SoakMonitor:
         return float(np.median(rates_hz)) if rates_hz else 0.0
 
     def ticks_hz(self, since_s: float) -> float:
-        """Return the tick rate [1/s] of the newest two jitter messages.
+        """Return the tick rate [1/s] from the oldest of `beats` to the newest.
 
-        It is 0 if there are not two that describe only the time after `since_s`.
+        It is 0 if there are not three after `since_s`.
         """
         with self._lock:
-            newest = list(self.beats)[-2:]
-        if len(newest) < 2:
-            return 0.0
-        first_s, first = newest[0]
-        if first_s < since_s + first["seconds"]:
-            return 0.0
-        seconds = sum(message["seconds"] for _, message in newest)
-        return float(sum(message["ticks"] for _, message in newest) / seconds)
+            beats = list(self.beats)
+        return _rate_hz(beats) if len(beats) == 3 and beats[0][0] >= since_s else 0.0
 
     @property
     def beat_s(self) -> float:
-        """Time of the newest jitter message; of the begin if there is none yet."""
+        """Time of the newest of `beats`; of the begin if there is none yet."""
         with self._lock:
             return self.beats[-1][0] if self.beats else self.began_s
 
     def take_sample(self) -> dict[str, Any]:
         """Take a sample of pages, processes and checkpoints. Return it, JSON-ready.
 
-        `places_age_s` is the age of the map file, and `missed` the number of late ticks.
+        `places_age_s` is the age of the map file.
         """
         harness, now_s = self._harness, time.monotonic()
         (health_code, _), (ready_code, ready_page) = (harness.page(path) for path in PROBES)
@@ -167,14 +155,14 @@ class SoakMonitor:
         self.recordings.check_next_file()
         harness.update_descendants()
         with self._lock:
-            status, latency = self.status, self.latency
-            beat_s, beat = self.beats[-1] if self.beats else (now_s, {})
+            status = self.status
+            beat_s, ticks = self.beats[-1] if self.beats else (now_s, 0)
         sample: dict[str, Any] = {
             "healthz": health_code,
             "readyz": ready_code,
             "why": list(self.ready_problems) if not self.is_ready else [],
             "beat_age_s": round(now_s - beat_s, 2),
-            **{key: value for key, value in beat.items() if key != "seconds"},
+            "ticks": ticks,
             "dropped": dropped(harness.text("/metrics")),
             "phase": status.get("phase"),
             "instruction": status.get("instruction"),
@@ -184,7 +172,6 @@ class SoakMonitor:
             "recorded_mb": round(self.recordings.size_mb, 2),
             "loop": status.get("loop"),
             "detector": status.get("detector"),
-            "missed": latency.get("tick", {}).get("overruns"),
             "log_a_minute": sum(
                 map(bool, map(_LINE_START.match, harness.log.since(now_s - _MINUTE_S)))
             ),
@@ -205,6 +192,12 @@ class SoakMonitor:
                 "cpu_s": round(used.cpu_s, 2),
             }
         return sample
+
+
+def _rate_hz(beats: list[tuple[float, int]]) -> float:
+    """Return the tick rate between the first and the last; 0 if the count began again."""
+    (first_s, first), (last_s, last) = beats[0], beats[-1]
+    return max(0, last - first) / (last_s - first_s) if last_s > first_s else 0.0
 
 
 def dropped(page: str) -> dict[str, int]:

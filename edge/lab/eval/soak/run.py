@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from edge.host.signals import stop_on_signals
 from edge.lab.eval.soak.faults import Fault, choose_faults
 from edge.lab.eval.soak.harness import SoakHarness, soak_config
 from edge.lab.eval.soak.invariants import FaultWindow, check_recovered, log_check
-from edge.lab.eval.soak.missions import MissionFeeder
+from edge.lab.eval.soak.missions import MissionFeeder, known_labels
 from edge.lab.eval.soak.monitor import SoakMonitor
 from edge.lab.eval.soak.record import SoakRecord, rows_of_kind, verdict
 from edge.lab.eval.soak.rules import (
@@ -48,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     config = load(args.config)
     faults = choose_faults(config, args.faults.split(",") if args.faults is not None else None)
+    known_labels(config, config.sim.world)  # check before the start, which takes minutes
     make_out_folder(args.out)
     out = args.out.resolve()
     record = SoakRecord(out / "record.jsonl")
@@ -55,10 +56,11 @@ def run(args: argparse.Namespace) -> int:
         soak = SoakRun(harness, record, faults, args.seed, 60.0 * args.minutes)
         try:
             harness.start()
-            soak.run(stop)
         except Stopped:
             log.info("soak stopped by request before simulator, controller and service had started")
             return os.EX_OK
+        with suppress(Stopped):  # as the end of a fault waits for a connection
+            soak.run(stop)
         soak.conclude()
     print(summary(record.rows))
     print(verdict(record.rows))

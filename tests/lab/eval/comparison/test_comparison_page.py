@@ -8,26 +8,17 @@ import re
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from html_reader import Reader
 from made_outcomes import failure, many, record
 
-from edge.lab.eval.comparison import page, plots
+from edge.lab.eval.comparison import page
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.comparison.statistics import compare
 from edge.lab.eval.comparison.worlds import FloorPlanDrawing
-from edge.lab.report import canvas
 
 BAD = '<script>alert("x")</script>&\'"'
 BOX = np.array([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
 DRAWING = FloorPlanDrawing(b"png", 0.0, 4.0, 5.0, 4.0, {"bed": [BOX]})
-
-
-@pytest.fixture(autouse=True)
-def quick_plots(monkeypatch):
-    """They have tests of their own."""
-    monkeypatch.setattr(plots, "figures", lambda comparison: {"rates": None})
-    monkeypatch.setattr(canvas, "content", lambda figure, kind: b"png")
 
 
 def page_of(records, drawings=None) -> str:

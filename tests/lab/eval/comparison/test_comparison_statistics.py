@@ -51,7 +51,6 @@ def test_every_metric_by_hand():
         "first_sight_s": pytest.approx((12.0 + 0.0 + 30.0) / 3),
         "wrong_stops": pytest.approx(2 / 4),
         "false_confirmations": pytest.approx(2 / 4),
-        "revisited_m2": pytest.approx(math.nan, nan_ok=True),
         "zone_entries": pytest.approx(math.nan, nan_ok=True),
         "person_contacts": pytest.approx(math.nan, nan_ok=True),
         "ghost_s": pytest.approx(math.nan, nan_ok=True),
