@@ -14,7 +14,7 @@ from edge.config import load
 from edge.errors import FAILED, ConfigError, UnavailableError
 from edge.host.credentials import read_token
 from edge.host.files import save
-from edge.loop.latency import LatencyReport, Span
+from edge.loop.latency import Span
 from edge.loop.warmup import warm_up
 from edge.recording import channels, file
 from edge.recording.file import PARTIAL, RecordingError
@@ -68,8 +68,6 @@ def format_result(session: RecordedRun, o: ReplayResult) -> str:
         lines.append(
             format_table([("", "recorded", "replayed"), *_differing(at.recorded, at.replayed)])
         )
-    if o.latency_then is not None and o.latency_now is not None:
-        lines += ["", compare_latencies(o.latency_then, o.latency_now)]
     return "\n".join(lines)
 
 
@@ -95,19 +93,6 @@ def _text_of(value: Any) -> str:
         f"{kind} {number} of {target} at "
         f"{x_m:.3f} {y_m:.3f} {yaw_rad:.3f}, score {value['score']:.6g}"
     )
-
-
-def compare_latencies(then: dict[str, Any], now: LatencyReport) -> str:
-    """Compare latencies by stage. The recorded latencies are of the newest ticks in the ring."""
-    rows = [("ms", "p50 recorded", "replayed", "p95 recorded", "replayed", "ratio")]
-    for row in now.rows:
-        before = then["tick"] if row.name == now.tick.name else then["stages"].get(row.name)
-        if before is None or not row.in_tick:
-            continue
-        ratio = f"{row.p50_ms / before['p50_ms']:.2f}" if before["p50_ms"] else "-"
-        cells = (before["p50_ms"], row.p50_ms, before["p95_ms"], row.p95_ms)
-        rows.append((row.name, *(f"{value:.3f}" for value in cells), ratio))
-    return format_table(rows, left=1)
 
 
 def recover(args: argparse.Namespace) -> int:

@@ -25,7 +25,6 @@ from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.checkpoints.map_checkpoint import SUFFIX
 from edge.loop.error_boundary import TICK
 from edge.loop.input_log import TASK, USE, LoopInput
-from edge.loop.latency import LatencyReport
 from edge.loop.result import TickResult
 from edge.loop.scoring.scorers import Scorers, make_scorers
 from edge.loop.service import Service
@@ -80,7 +79,6 @@ class ReplayResult:
         ended: why the replay ended before the run; empty if it reached the run's end.
         phase_then: last recorded phase of the mission.
         seconds: time from the first to the last replayed observation.
-        latency_then: last recorded latency report, JSON; None: there is none.
     """
 
     ticks: int = 0
@@ -93,8 +91,6 @@ class ReplayResult:
     phase_then: str = ""
     phase_now: str = ""
     seconds: float = 0.0
-    latency_then: dict[str, Any] | None = None
-    latency_now: LatencyReport | None = None
 
 
 class DecisionSink:
@@ -374,9 +370,6 @@ def replay(
                 first_ns = step.observation.stamp_ns if first_ns is None else first_ns
                 outcome.seconds = (step.observation.stamp_ns - first_ns) * 1e-9
         outcome.n_unrecorded, outcome.ended = run.n_unrecorded, session.gap or session.truncation
-        outcome.latency_then = session.latency
-        if run.service is not None:
-            outcome.latency_now = run.service.latency.report()
     return outcome
 
 
