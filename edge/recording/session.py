@@ -95,7 +95,7 @@ class RecordedRun:
 
     Attributes:
         head: metadata of the first file.
-        files: the files of the session from the first on, without gaps.
+        files: the files of the run from the first on, without gaps.
         truncation: what is missing at the end, in one line; empty if nothing is.
         gap: why the run ends before its files do; empty if it does not.
 
