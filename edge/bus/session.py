@@ -252,30 +252,41 @@ def open_session(
                 cause = str(error) if unreadable is None else unreadable
                 raise BusError(_explain(settings.address, role, cause)) from None
         # Here no server answered: find out why, then wait and try again.
-        refused = unknown = None
-        try:
-            refused = diagnose_refusal(settings.endpoint, native, name or key)
+        refused, unknown = _diagnose(settings, native, name or key)
+        if unknown is None:
             resolved_s = time.monotonic()
-        except UnknownHostError as error:
-            unknown = str(error)
-        level = logging.WARNING
-        what = f"zenoh: refused at {settings.address}: {refused}; trying again"
-        if unknown is not None:
-            what = f"zenoh.endpoint: {settings.address}: {unknown}"
-            if time.monotonic() - resolved_s >= HOST_S:
-                raise BusError(f"{what}; correct the name, or give an address")
-            what += f"; trying again for up to {HOST_S:g} s"
-        elif refused is None:
-            level, what = logging.INFO, f"waiting for a server at {settings.address}"
-        report(what)
+        elif time.monotonic() - resolved_s >= HOST_S:
+            why = f"{unknown}; correct the name, or give an address"
+            raise BusError(f"zenoh.endpoint: {settings.address}: {why}")
+        text = _wait_text(settings.address, refused, unknown)
+        report(text)
         # Log a reason only the second time: a server that starts or is busy refuses once.
         reason = unknown or refused
         if reason not in logged and reason == last_reason:
             logged.add(reason)
-            log.log(level, what)
+            log.log(logging.INFO if reason is None else logging.WARNING, text)
         last_reason = reason
         if stop.wait(_PAUSE_S):
             raise ConnectInterrupted(settings.address, refused, unknown)
+
+
+def _diagnose(
+    settings: config.ZenohConfig, native: zenoh.Config, file: str
+) -> tuple[str | None, str | None]:
+    """Return why the server refuses a session, and why its host is unknown; see `_wait_text`."""
+    try:
+        return diagnose_refusal(settings.endpoint, native, file), None
+    except UnknownHostError as error:
+        return None, str(error)
+
+
+def _wait_text(address: str, refused: str | None, unknown: str | None) -> str:
+    """Return the line that describes a wait; with two None, no server is there."""
+    if unknown is not None:
+        return f"zenoh.endpoint: {address}: {unknown}; trying again for up to {HOST_S:g} s"
+    if refused is not None:
+        return f"zenoh: refused at {address}: {refused}; trying again"
+    return f"waiting for a server at {address}"
 
 
 def declare_publisher(

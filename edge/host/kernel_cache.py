@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from edge.errors import ConfigError
 from edge.host import resources
-from edge.host.private_folder import private_folder
 
 log = logging.getLogger(__name__)
 
@@ -55,12 +55,14 @@ def _own_folder() -> Path | None:
 def _temporary_folder(stack: ExitStack) -> Path:
     advice = f"set EDGE_CACHE_DIR (or {_VARIABLE}) to a folder that user {os.getuid()} can write"
     try:
-        folder = stack.enter_context(private_folder("edge-kernels-"))
+        folder = stack.enter_context(
+            tempfile.TemporaryDirectory(prefix="edge-kernels-", ignore_cleanup_errors=True)
+        )
     except OSError as error:
         raise ConfigError(f"no folder for compiled kernels ({error.strerror}): {advice}") from None
     log.warning("no folder can keep compiled kernels, so each start compiles them again, for tens "
                 "of seconds: %s", advice)  # fmt: skip
-    return folder
+    return Path(folder)
 
 
 def _is_writable(folder: Path) -> bool:

@@ -35,14 +35,10 @@ _ARM_PARTS = {
     "0xd42": "Cortex-A78AE",
     "0xd83": "Neoverse-V3AE",
 }
-_GPU_CLOCKS = re.compile(r"^(gpu-gpc-\d+|[\da-f]+\.(gpu|gv11b|gp10b|ga10b))$")
-"""Folders of Jetson GPUs in /sys/class/devfreq: `gpu-gpc-0` on Thor, before it `17000000.gpu`."""
 # Our name → field of `nvidia-smi`.
 _SMI_FIELDS = {
     "name": "name",
     "driver": "driver_version",
-    "clock_mhz": "clocks.sm",
-    "max_clock_mhz": "clocks.max.sm",
     "power_limit_w": "power.limit",
     "memory_mb": "memory.total",
 }
@@ -50,12 +46,11 @@ _SMI_S = 20.0  # timeout of nvidia-smi
 
 
 def describe(root: Path = _ROOT) -> Description:
-    """Return processor, memory, system, runtimes, clocks, GPUs and a Jetson's power mode.
+    """Return processor, memory, system, runtimes, GPUs and a Jetson's power mode.
 
     Args:
         root: folder with `proc`, `sys`, `etc` and `var`.
     """
-    cpuinfo = text_of(root / "proc/cpuinfo")
     found: Description = {
         "cpu": this_cpu(root),
         "architecture": platform.machine(),
@@ -64,7 +59,6 @@ def describe(root: Path = _ROOT) -> Description:
         "kernel": platform.release(),
         "python": platform.python_version(),
         **{name: _version(names) for name, names in _RUNTIMES.items()},
-        "cpu_clock": _cpu_clock(root, cpuinfo),
         "gpus": nvidia_smi(),
         "jetson": _jetson(root),
     }
@@ -200,33 +194,7 @@ def _jetson(root: Path) -> Description:
         "release": release,
         "model": text_of(root / "proc/device-tree/model").strip("\0 \n"),
         "power_mode": power_mode_of(root),
-        "gpu_clock": _gpu_clock(root / "sys/class/devfreq"),
     }
-    return {key: value for key, value in found.items() if value}
-
-
-def _gpu_clock(devfreq: Path) -> Description:
-    """Return the clocks of the first GPU in MHz, and its governor."""
-    folders = sorted(devfreq.iterdir()) if devfreq.is_dir() else []
-    for folder in (f for f in folders if _GPU_CLOCKS.match(f.name)):
-        hertz = {name: text_of(folder / f"{name}_freq") for name in ("cur", "min", "max")}
-        mhz = {f"{k}_mhz": int(v) / 1e6 for k, v in hertz.items() if v.strip().isdigit()}
-        return {**mhz, "governor": text_of(folder / "governor").strip()}
-    return {}
-
-
-def _cpu_clock(root: Path, cpuinfo: str) -> Description:
-    """Return the present and highest clock of each allowed core in MHz, and the governor."""
-    found: Description = {"cur_mhz": [], "max_mhz": []}
-    for core in sorted(os.sched_getaffinity(0)):
-        folder = root / f"sys/devices/system/cpu/cpu{core}/cpufreq"
-        for key in ("cur", "max"):
-            if (khz := text_of(folder / f"scaling_{key}_freq").strip()).isdigit():
-                found[f"{key}_mhz"].append(int(khz) / 1e3)
-        if governor := text_of(folder / "scaling_governor").strip():
-            found["governor"] = governor
-    if not found["cur_mhz"]:  # a virtual machine
-        found["cur_mhz"] = [float(mhz) for mhz in re.findall(r"cpu MHz\s*:\s*([\d.]+)", cpuinfo)]
     return {key: value for key, value in found.items() if value}
 
 

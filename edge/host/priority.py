@@ -30,8 +30,8 @@ def real_time(priority: int) -> Iterator[bool]:
     try:
         yield is_set
     finally:
-        if is_set:
-            _schedule(os.SCHED_OTHER, 0)
+        if is_set:  # Linux lets only CAP_SYS_NICE clear the flag
+            _schedule(os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
 
 
 def _schedule(policy: int, priority: int) -> bool:

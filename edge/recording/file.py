@@ -252,11 +252,8 @@ def _has_end(file: BinaryIO) -> bool:
     return file.read() == MAGIC
 
 
-def is_complete(path: str | os.PathLike[str]) -> bool:
-    """Return True if a file ends as a complete file does; raise RecordingError for no file.
-
-    `McapReader.is_complete` is another check: all data were read.
-    """
+def has_end(path: str | os.PathLike[str]) -> bool:
+    """Return True if a file ends as a complete file does; raise RecordingError for no file."""
     with _open_to_read(Path(path)) as file:
         return _has_end(file)
 

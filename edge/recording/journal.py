@@ -34,7 +34,7 @@ from edge.mission.logic import ltl
 from edge.mission.repetition import Repetition
 from edge.mission.translate import Translation
 from edge.text import bounded_repr, read_json, redact
-from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
+from edge.types import Detections, Goal, GoalStatus, Observation
 
 FORMAT, VERSION = "edge-recording", 3
 MAX_VALUES = 1 << 20
@@ -271,7 +271,7 @@ def _translation(t: Translation) -> dict[str, Any]:
         "instruction": t.instruction, "formula": str(t.formula), "english": t.english,
         "backend": t.backend, "reading": t.reading, "readings": t.readings, "implied": t.implied,
         "destinations": destinations_json(t.destinations),
-        "repeat": None if t.repeat is None else asdict(t.repeat),
+        "repeat": _plain(t.repeat),
     }  # fmt: skip
 
 
@@ -280,7 +280,7 @@ def _translation_of(stored: dict[str, Any]) -> Translation:
         stored["instruction"], ltl.parse(stored["formula"]), stored["english"], stored["backend"],
         reading=stored["reading"], readings=tuple(stored["readings"]), implied=stored["implied"],
         destinations=destinations_of_json(stored["destinations"]),
-        repeat=None if stored["repeat"] is None else Repetition(**stored["repeat"]),
+        repeat=decoded(Repetition, stored["repeat"]),
     )  # fmt: skip
 
 
@@ -311,27 +311,19 @@ def _file_of(stored: str | None) -> bytes | None:
 
 
 def _boxes(found: Detections) -> dict[str, Any]:
-    return {
-        "seq": found.observation.seq,
-        "xyxy_px": _array(found.xyxy_px), "score": _array(found.score),
-        "class_id": _array(found.class_id), "prompts": list(found.prompts),
-        "competing_score": _plain(found.competing_score),
-        "context": _plain(found.context),  # boxes of other objects than the targets
-        "model": found.model, "latency_ns": found.latency_ns,
-        "mask": None if found.mask is None else _array(np.packbits(found.mask, axis=-1)),
-    }  # fmt: skip
+    stored = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "observation"}
+    if found.mask is not None:
+        stored["mask"] = np.packbits(found.mask, axis=-1)
+    return {"seq": found.observation.seq, **{name: _plain(v) for name, v in stored.items()}}
 
 
 def detections_of(stored: dict[str, Any], observation: Observation) -> Detections:
     """Decode detections of this observation."""
-    bits = decoded(np.ndarray, stored["mask"])
-    return Detections(
-        observation, _array_of(stored["xyxy_px"]), _array_of(stored["score"]),
-        _array_of(stored["class_id"]), tuple(stored["prompts"]),
-        decoded(np.ndarray, stored["competing_score"]), decoded(ContextBoxes, stored["context"]),
-        stored["model"], stored["latency_ns"],
-        None if bits is None else np.unpackbits(bits, axis=-1).astype(np.bool_),
-    )  # fmt: skip
+    kinds = _types_of_fields(Detections)
+    found = {name: decoded(kinds[name], stored[name]) for name in stored.keys() - {"seq"}}
+    if found["mask"] is not None:
+        found["mask"] = np.unpackbits(found["mask"], axis=-1).astype(np.bool_)
+    return Detections(observation, **found)
 
 
 def _rooms(found: RoomSurvey) -> dict[str, Any]:

@@ -25,7 +25,6 @@ from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.checkpoints.map_checkpoint import SUFFIX
 from edge.loop.error_boundary import TICK
 from edge.loop.input_log import TASK, USE, LoopInput
-from edge.loop.latency import LatencyReport
 from edge.loop.result import TickResult
 from edge.loop.scoring.scorers import Scorers, make_scorers
 from edge.loop.service import Service
@@ -80,7 +79,6 @@ class ReplayResult:
         ended: why the replay ended before the run; empty if it reached the run's end.
         phase_then: last recorded phase of the mission.
         seconds: time from the first to the last replayed observation.
-        latency_then: last recorded latency report, JSON; None: there is none.
     """
 
     ticks: int = 0
@@ -93,8 +91,6 @@ class ReplayResult:
     phase_then: str = ""
     phase_now: str = ""
     seconds: float = 0.0
-    latency_then: dict[str, Any] | None = None
-    latency_now: LatencyReport | None = None
 
 
 class DecisionSink:
@@ -128,11 +124,11 @@ class _ReplayedService:
     """
 
     def __init__(
-        self, session: RecordedRun, config: Config | None, detect: bool, stack: ExitStack
+        self, run: RecordedRun, config: Config | None, detect: bool, stack: ExitStack
     ) -> None:
         self._has_other_config = config is not None
-        self._session, self._detect, self._stack = session, detect, stack
-        self.config = self._limit(session.config()) if config is None else _replay_settings(config)
+        self._run, self._detect, self._stack = run, detect, stack
+        self.config = self._limit(run.config()) if config is None else _replay_settings(config)
         self._tick_events, self.sink = ReplayTick(), DecisionSink()
         self._replay_source: ReplaySource | None = None
         self._failed: Observation | None = None  # observation of a failed or refused tick
@@ -141,7 +137,7 @@ class _ReplayedService:
 
     def _limit(self, config: Config) -> Config:
         """Return the recorded configuration without file names."""
-        if self._session.trust:
+        if self._run.trust:
             return _replay_settings(config)
         config, detector = _replay_settings(config), config.perception.detector
         if not isinstance(detector, DetectorOnnx):
@@ -286,7 +282,7 @@ class _ReplayedService:
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
         """Apply a recorded reload, unless another configuration is used for the entire run."""
         if not self._has_other_config:
-            self._session.check(config)
+            self._run.check(config)
             config, service = self._limit(config), self.service
             same = config.policy == service.config.policy
             policy = service.perception.policy if same else make_policy(config.policy, config.path)
@@ -300,20 +296,20 @@ def _replay_settings(config: Config) -> Config:
     return config.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
 
 
-# Kind of an input → function (run, observation, its fields).
+# Kind of an input → function (replayed service, observation, its fields).
 _HANDLERS: dict[str, Callable[..., None]] = {
     "tick": _ReplayedService._tick,
     "idle": _ReplayedService._idle,
-    "goal_status": lambda run, _, goal_status: run.service.on_goal_status(goal_status),
+    "goal_status": lambda replayed, _, goal_status: replayed.service.on_goal_status(goal_status),
     "mission": _ReplayedService._begin,
-    "site": lambda run, _, site, now_ns: run.service.change_site(site, now_ns),
-    "pause": lambda run, _, paused, now_ns: run.service.control.pause(paused, now_ns),
-    "stop": lambda run, _, reason, now_ns: run.service.control.stop(reason, now_ns),
-    "cancel": lambda run, _, reason, now_ns: run.service.control.cancel(reason, now_ns),
-    "confirm": lambda run, _, now_ns: run.service.control.confirm(now_ns),
-    "fail": lambda run, _, reason, now_ns: run.service.control.fail(reason, now_ns),
+    "site": lambda replayed, _, site, now_ns: replayed.service.change_site(site, now_ns),
+    "pause": lambda replayed, _, paused, now_ns: replayed.service.control.pause(paused, now_ns),
+    "stop": lambda replayed, _, reason, now_ns: replayed.service.control.stop(reason, now_ns),
+    "cancel": lambda replayed, _, reason, now_ns: replayed.service.control.cancel(reason, now_ns),
+    "confirm": lambda replayed, _, now_ns: replayed.service.control.confirm(now_ns),
+    "fail": lambda replayed, _, reason, now_ns: replayed.service.control.fail(reason, now_ns),
     "config": _ReplayedService._reconfigure,
-    "jump": lambda run, _, now_ns: run.service.on_pose_jump(now_ns),
+    "jump": lambda replayed, _, now_ns: replayed.service.on_pose_jump(now_ns),
 }
 
 
@@ -334,13 +330,11 @@ def _actions(entries: Sequence[LoopInput]) -> Iterator[tuple[LoopInput, list[Loo
         yield action, events
 
 
-def replay(
-    session: RecordedRun, config: Config | None = None, detect: bool = False
-) -> ReplayResult:
+def replay(run: RecordedRun, config: Config | None = None, detect: bool = False) -> ReplayResult:
     """Replay a recorded run through a service and compare the decisions.
 
     Args:
-        session: the recorded run.
+        run: the recorded run.
         config: another configuration than the recorded one; the mission stays the recorded one.
         detect: run the detector on the recorded images instead of using recorded detections.
 
@@ -349,34 +343,31 @@ def replay(
         ReplayError: there is no usable detector.
         UserError: configuration, mission or model cannot be used.
     """
-    if session.head.part:
+    if run.head.part:
         raise RecordingError(
-            f"{session.head.path}: file {session.head.part + 1} of a run: replay the first file; "
+            f"{run.head.path}: file {run.head.part + 1} of a run: replay the first file; "
             "the others in the folder follow"
         )
     outcome, first_ns = ReplayResult(), None
     with ExitStack() as stack:
-        run = _ReplayedService(session, config, detect, stack)
-        for step in session.steps():
+        replayed = _ReplayedService(run, config, detect, stack)
+        for step in run.steps():
             try:
-                run.apply(step)
+                replayed.apply(step)
             except UserError:
                 raise
             except Exception as error:  # an error that the loop survived, or damaged data
                 raise RecordingError(
-                    f"{session.head.path}: the replay failed after {outcome.ticks} ticks; the "
+                    f"{run.head.path}: the replay failed after {outcome.ticks} ticks; the "
                     "recorded run had an error, or the recording is damaged: "
                     f"{type(error).__name__}: {one_line(error, 120)}"
                 ) from error
-            _compare(outcome, step, run.sink.decisions)
-            run.sink.decisions.clear()
+            _compare(outcome, step, replayed.sink.decisions)
+            replayed.sink.decisions.clear()
             if step.observation is not None:
                 first_ns = step.observation.stamp_ns if first_ns is None else first_ns
                 outcome.seconds = (step.observation.stamp_ns - first_ns) * 1e-9
-        outcome.n_unrecorded, outcome.ended = run.n_unrecorded, session.gap or session.truncation
-        outcome.latency_then = session.latency
-        if run.service is not None:
-            outcome.latency_now = run.service.latency.report()
+        outcome.n_unrecorded, outcome.ended = replayed.n_unrecorded, run.gap or run.truncation
     return outcome
 
 

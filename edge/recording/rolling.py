@@ -10,7 +10,6 @@ import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -23,28 +22,14 @@ log = logging.getLogger("edge.recording")
 PREFIX = "edge-"
 AGAIN_S = 5.0
 """Time in seconds until recording is tried again after an error."""
+KEEP_MB = 4096.0
+"""Default size of the folder in MB."""
+MAX_S, SYNC_S = 600.0, 2.0
+"""Age of a file in seconds at which the next file begins; time in which data reach the disk."""
 _MB = 1_000_000
 _TIME = "%Y%m%dT%H%M%S.%f"
 # Such as `edge-20260131T123456.789Z.mcap`, or the same with `.partial`.
 _NAME = re.compile(rf"{PREFIX}\d{{8}}T\d{{6}}\.\d{{3}}Z\.mcap({re.escape(PARTIAL)})?", re.ASCII)
-
-
-@dataclass(frozen=True)
-class RecordingLimits:
-    """Limits of files and folder.
-
-    Attributes:
-        max_mb: size of a file in MB at which the next file begins.
-        max_s: age of a file in seconds at which the next file begins.
-        keep_mb: size of the folder in MB. The oldest files are deleted, but none that is being
-            written.
-        sync_s: data reach the disk within this time.
-    """
-
-    max_mb: float = 256.0
-    max_s: float = 600.0
-    keep_mb: float = 4096.0
-    sync_s: float = 2.0
 
 
 class RollingRecorder:
@@ -52,6 +37,9 @@ class RollingRecorder:
 
     Args:
         folder: folder of the files; created if missing.
+        max_mb: size of a file in MB at which the next file begins.
+        keep_mb: size of the folder in MB. The oldest files are deleted, but none that is being
+            written.
         compression: `none`, `lz4` or `zstd`.
         metadata: returns the metadata, by name, of a file, given the number of the file from 0.
         clock: returns a time in seconds.
@@ -66,15 +54,16 @@ class RollingRecorder:
     def __init__(
         self,
         folder: Path,
-        limits: RecordingLimits,
+        max_mb: float,
+        keep_mb: float,
         compression: str,
         metadata: Callable[[int], dict[str, dict[str, str]]],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.messages = self.lost = 0
         self.problem = ""
-        self._folder, self._limits, self._compression = folder, limits, compression
-        self._metadata, self._clock = metadata, clock
+        self._folder, self._max_mb, self._keep_mb = folder, max_mb, keep_mb
+        self._compression, self._metadata, self._clock = compression, metadata, clock
         self._file: McapWriter | None = None
         self._n_files = 0
         self._unsynced = 0  # messages that may not be on the disk yet
@@ -91,8 +80,8 @@ class RollingRecorder:
         """Begin a new file if needed. Call it before messages that must be in one file."""
         now_s = self._clock()
         if self._file is not None:
-            full = self._file.bytes >= self._limits.max_mb * _MB
-            if full or now_s - self._began_s >= self._limits.max_s:
+            is_full = self._file.bytes >= self._max_mb * _MB
+            if is_full or now_s - self._began_s >= MAX_S:
                 self._finish()
         if self._file is None and now_s >= self._retry_s:
             self._begin(now_s)
@@ -115,7 +104,7 @@ class RollingRecorder:
     def sync(self) -> None:
         """Write buffered messages to the disk if it is time."""
         now_s = self._clock()
-        if self._file is None or now_s - self._synced_s < self._limits.sync_s:
+        if self._file is None or now_s - self._synced_s < SYNC_S:
             return
         self._synced_s = now_s
         try:
@@ -136,7 +125,7 @@ class RollingRecorder:
             path = _free_name(self._folder)
             file = McapWriter(path, self._compression, self._metadata(self._n_files))
             # Leave room for the file that now begins.
-            make_room(self._folder, int((self._limits.keep_mb - self._limits.max_mb) * _MB))
+            make_room(self._folder, int((self._keep_mb - self._max_mb) * _MB))
             file.open()
         except OSError as error:
             self._report(error)

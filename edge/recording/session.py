@@ -95,10 +95,9 @@ class RecordedRun:
 
     Attributes:
         head: metadata of the first file.
-        files: the files of the session from the first on, without gaps.
+        files: the files of the run from the first on, without gaps.
         truncation: what is missing at the end, in one line; empty if nothing is.
         gap: why the run ends before its files do; empty if it does not.
-        latency: the last recorded latency report; None before the first.
 
     Raises:
         RecordingError: see `read_header`.
@@ -109,7 +108,6 @@ class RecordedRun:
         self.head = read_header(path)
         self.files = _files_from(self.head)
         self.truncation = self.gap = ""
-        self.latency: dict[str, Any] | None = None
 
     def config(self) -> Config:
         """Return the recorded configuration, without secrets.
@@ -161,18 +159,14 @@ class RecordedRun:
         for m in self.messages():
             if m.topic in _ARRAY_TOPICS:
                 array_messages[_ARRAY_TOPICS[m.topic]] = m
-            if m.topic not in (channels.JOURNAL.topic, channels.LATENCY.topic):
+            if m.topic != channels.JOURNAL.topic:
                 continue
             try:
-                if m.topic == channels.LATENCY.topic:
-                    self.latency = _parse_latency(m.payload)
-                    continue
                 page = journal.decode_page(m.payload)
                 step = _make_step(page, array_messages, rig)
             except Exception as error:  # damaged data can raise anything
-                what = m.topic.lstrip("/")
                 raise RecordingError(
-                    f"{self.head.path}: damaged {what}: {type(error).__name__}: "
+                    f"{self.head.path}: damaged journal: {type(error).__name__}: "
                     f"{one_line(error, 120)}"
                 ) from None
             array_messages.clear()
@@ -232,15 +226,6 @@ def _make_step(
 def _check_pixels(height: int, width: int) -> None:
     if not 0 <= height * width <= _MAX_PIXELS:
         raise ValueError(f"an image of {height}x{width} pixels, at most {_MAX_PIXELS} are allowed")
-
-
-def _parse_latency(payload: bytes) -> dict[str, Any]:
-    """Parse a latency report whose numbers will be printed."""
-    report = read_json(payload, journal.MAX_VALUES)
-    for row in (report["tick"], *report["stages"].values()):
-        for name in ("p50_ms", "p95_ms"):
-            row[name] = float(row[name])
-    return report
 
 
 def _decode_depth(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:

@@ -59,7 +59,8 @@ def make_plan(config: Config) -> dict[str, Any]:
         `version`: version of eclipse-zenoh here. `zenoh`: settings of the node's session. `node`:
         name of the node. `max_bytes`: largest message. `heard`, `said`: topics from ROS and to ROS.
         `action`: the action for goals, or None. A topic has its ROS name (`ros`), its Zenoh key,
-        its type, and `reliable`, `latched` and `depth` (its queue); the action has the first three.
+        its type, `reliable`, `latched`, `depth` (its queue), and `on_events`: silence is normal.
+        `stop` has several entries. The action has the first three fields.
 
     Raises:
         ConfigError: the service would not receive the messages.
@@ -82,10 +83,12 @@ def make_plan(config: Config) -> dict[str, Any]:
         ros = settings.topic(name)
         return {"ros": ros, "key": dialect.data_key(settings.domain, ros, "", NO_HASH)}
 
-    def topic_plan(name: str, kind: str, reliable: bool) -> dict[str, Any]:
+    def topic_plan(
+        name: str, kind: str, reliable: bool, latched: bool = False, on_events: bool = False
+    ) -> dict[str, Any]:
         """Return the entry of a topic: names, message type and quality of service."""
-        latched = name in LATCHED
-        quality = {"reliable": reliable or latched, "latched": latched}
+        latched = latched or name in LATCHED
+        quality = {"reliable": reliable or latched, "latched": latched, "on_events": on_events}
         return {**names_of(name), "type": kind, **quality, "depth": _DEPTHS.get(name, _DEPTH)}
 
     reliable_topics = settings.adapter.reliable
@@ -100,9 +103,12 @@ def make_plan(config: Config) -> dict[str, Any]:
         unused |= {"keepout_mask", "keepout_info"}
     if settings.detections_frame is None:
         unused |= {"detections", "objects"}
-    received.append(topic_plan("stop", BOOL, reliable=True))
+    # A button may be best effort. A reliable subscription repeats what a reliable button lost, and
+    # only a latched one gets a stop from before. A stop that comes more than once does no harm.
+    for reliable, latched in ((False, False), (True, False), (True, True)):
+        received.append(topic_plan("stop", BOOL, reliable, latched, on_events=True))
     if settings.requests:
-        received.append(topic_plan("request", STRING, reliable=True))
+        received.append(topic_plan("request", STRING, reliable=True, on_events=True))
     else:
         unused.add("answer")
     published = [name for name in PUBLISHED if name not in unused]

@@ -10,7 +10,6 @@ after them. The journal is what a replay reads.
 from __future__ import annotations
 
 import errno
-import inspect
 import json
 import threading
 import uuid
@@ -28,7 +27,7 @@ from edge.loop.input_log import LoopInput
 from edge.loop.result import TickResult
 from edge.recording import channels, journal
 from edge.recording.file import COMPRESSIONS
-from edge.recording.rolling import RecordingLimits, RollingRecorder
+from edge.recording.rolling import KEEP_MB, RollingRecorder
 from edge.sinks.encoder import EncodedMessage, ResultEncoder, ResultSnapshot
 from edge.text import one_line
 
@@ -39,6 +38,8 @@ BATCH = 8
 
 They are written after a tick, when the loop is idle.
 """
+PENDING_BYTES = 64_000_000
+"""Limit of arrays that wait to be written."""
 _CLOSE_S = 5.0  # longest time to write what is pending at the end
 
 
@@ -59,16 +60,13 @@ class McapSink:
 
     Args:
         folder: created if missing; `~` is the home directory.
-        max_mb: see `edge.recording.rolling.RecordingLimits`.
-        max_s: see `RecordingLimits`.
-        keep_mb: see `RecordingLimits`.
-        sync_s: see `RecordingLimits`.
+        max_mb: see `edge.recording.rolling.RollingRecorder`.
+        keep_mb: see `RollingRecorder`.
         rgb_hz: rate of images, stored as JPEG; 0: none.
         compression: `none`, `lz4` or `zstd`.
-        pending_mb: limit of arrays that wait to be written.
 
     Raises:
-        ConfigError: an option is invalid, or the folder cannot be written.
+        ConfigError: the folder cannot be written.
     """
 
     def __init__(
@@ -76,14 +74,10 @@ class McapSink:
         config: Config,
         folder: str,
         max_mb: float = 256.0,
-        max_s: float = 600.0,
-        keep_mb: float = 4096.0,
-        sync_s: float = 2.0,
+        keep_mb: float = KEEP_MB,
         rgb_hz: float = 1.0,
         compression: str = "lz4",
-        pending_mb: float = 64.0,
     ) -> None:
-        _check_values(max_mb, max_s, keep_mb, sync_s, rgb_hz, compression, pending_mb)
         where = resources.expand(folder)
         try:
             make_writable(where)
@@ -93,17 +87,13 @@ class McapSink:
                 raise ConfigError(f"sinks: mcap: folder: {why}") from None
         self._config = config
         self._session = uuid.uuid4().hex
-        self._files = RollingRecorder(
-            where, RecordingLimits(max_mb, max_s, keep_mb, sync_s), compression,
-            self._metadata,
-        )  # fmt: skip
+        self._files = RollingRecorder(where, max_mb, keep_mb, compression, self._metadata)
         self._encoder = ResultEncoder(config, rgb_hz)
         self._inputs: list[LoopInput] = []
         self._page_ns: int | None = None  # start of the current page
         self._held_back: TickResult | None = None  # the last result of the page
         self._rig: dict[str, Any] = {}  # camera and mounts as last written to the journal
-        self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
-        self._lock = threading.Lock()  # for pending bytes
+        self._pending_bytes, self._lock = 0, threading.Lock()  # the lock is for these bytes
         self._dropped = {"arrays": 0, "moments": 0}  # ticks without arrays; entire ticks
         # In lockstep the simulated time waits for writing, so nothing is dropped.
         self._lockstep = config.loop.lockstep
@@ -116,12 +106,29 @@ class McapSink:
 
     # -- on the loop's thread -------------------------------------------------------------------
 
-    @classmethod
-    def check_options(cls, **options: Any) -> None:
+    @staticmethod
+    def check_options(
+        folder: str,
+        max_mb: float = 256.0,
+        keep_mb: float = KEEP_MB,
+        rgb_hz: float = 1.0,
+        compression: str = "lz4",
+    ) -> None:
         """Raise an error for invalid numbers or names; see `edge.config.components`."""
-        bound = inspect.signature(cls).bind(config=None, **options)
-        bound.apply_defaults()
-        _check_values(**{k: v for k, v in bound.arguments.items() if k not in ("config", "folder")})
+        if not max_mb > 0:
+            raise ConfigError(f"sinks: mcap: max_mb: must be more than 0, got {max_mb}")
+        if not rgb_hz >= 0:
+            raise ConfigError(f"sinks: mcap: rgb_hz: must be 0 or more, got {rgb_hz}")
+        if not keep_mb >= 2 * max_mb:
+            raise ConfigError(
+                f"sinks: mcap: keep_mb: {keep_mb:g} is less than two files of max_mb, {max_mb:g} "
+                "MB each: raise keep_mb, or lower max_mb"
+            )
+        if compression not in COMPRESSIONS:
+            raise ConfigError(
+                f"sinks: mcap: compression: unknown {compression!r} (choices: "
+                f"{', '.join(COMPRESSIONS)})"
+            )
 
     def tick(self, result: TickResult) -> None:
         """Queue the result for writing; see `edge.loop.result.Sink`."""
@@ -136,7 +143,7 @@ class McapSink:
 
     def _queue(self, result: TickResult) -> None:
         """Copy a result, with the inputs since the last one, into the batch."""
-        has_room = self._pending_bytes < self._most_bytes
+        has_room = self._pending_bytes < PENDING_BYTES
         snapshot = self._encoder.capture(result, arrays=has_room)
         self._dropped["arrays"] += result.observation is not None and not has_room
         size = snapshot.bytes
@@ -229,29 +236,3 @@ class McapSink:
             "part": str(part), "config": config,
         }  # fmt: skip
         return {journal.FORMAT: fields}
-
-
-def _check_values(
-    max_mb: float,
-    max_s: float,
-    keep_mb: float,
-    sync_s: float,
-    rgb_hz: float,
-    compression: str,
-    pending_mb: float,
-) -> None:
-    """Raise ConfigError for a number or name that is out of range."""
-    numbers = {"max_mb": max_mb, "max_s": max_s, "sync_s": sync_s, "pending_mb": pending_mb}
-    for name, value in numbers.items():
-        if not value > 0:
-            raise ConfigError(f"sinks: mcap: {name}: must be more than 0, got {value}")
-    if not rgb_hz >= 0:
-        raise ConfigError(f"sinks: mcap: rgb_hz: must be 0 or more, got {rgb_hz}")
-    if not keep_mb >= 2 * max_mb:
-        raise ConfigError(
-            f"sinks: mcap: keep_mb: {keep_mb:g} is less than two files of max_mb, {max_mb:g} MB "
-            "each: raise keep_mb, or lower max_mb"
-        )
-    if compression not in COMPRESSIONS:
-        choices = ", ".join(COMPRESSIONS)
-        raise ConfigError(f"sinks: mcap: compression: unknown {compression!r} (choices: {choices})")

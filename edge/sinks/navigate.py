@@ -15,6 +15,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 from edge import names
@@ -94,6 +95,8 @@ class NavigateToPoseClient:
     """
 
     _kind, _name = NAVIGATE_TO_POSE, "navigate_to_pose"
+    _decode_result = staticmethod(navigation.decode_result)
+    _has_feedback = True  # feedback that a mission needs
 
     def __init__(
         self, node: Ros2Node, action: str, frame_id: str, on_status: Callable[[GoalStatus], None]
@@ -104,12 +107,15 @@ class NavigateToPoseClient:
         self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
         self._result = node.client(f"{below}/get_result", f"{kind}_GetResult", _RESULT_S)
         self._cancel = node.client(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal", _ACCEPT_S)
-        self._feedback = node.subscription(
-            f"{below}/feedback", (f"{kind}_FeedbackMessage",), _RING_MESSAGES
-        )
-        self._status = node.subscription(
+        status = node.subscription(
             f"{below}/status", ("action_msgs/msg/GoalStatusArray",), _RING_MESSAGES
         )
+        self._topics = [(status, self._on_status_message)]
+        if self._has_feedback:
+            feedback = node.subscription(
+                f"{below}/feedback", (f"{kind}_FeedbackMessage",), _RING_MESSAGES
+            )
+            self._topics.append((feedback, self._on_feedback))
         self._active: _ActiveGoal | None = None
         self._replaced: deque[bytes] = deque(maxlen=_RING_MESSAGES)  # goals replaced by newer ones
         self._cancel_replaced_s = math.inf  # when to cancel those that are still active
@@ -153,10 +159,9 @@ class NavigateToPoseClient:
 
     def update(self) -> None:
         """Process what arrived; request again if no reply is pending."""
-        for _, payload in self._feedback.take():
-            self._run_step(self._on_feedback, payload.to_bytes())
-        for _, payload in self._status.take():
-            self._run_step(self._on_status_message, payload.to_bytes())
+        for subscription, handler in self._topics:
+            for _, payload in subscription.take():
+                self._run_step(handler, payload.to_bytes())
         if self._active is not None:
             self._run_step(_STEPS[self._active.stage], self, self._active)
         if time.monotonic() >= self._cancel_replaced_s:
@@ -209,9 +214,6 @@ class NavigateToPoseClient:
     def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
         """Return the request that sends a goal."""
         return navigation.encode_send_goal(goal_id, goal.stamp_ns, goal.pose, self._frame_id)
-
-    def _decode_result(self, payload: bytes) -> navigation.Result:
-        return navigation.decode_result(payload)
 
     def _step_sent(self, active: _ActiveGoal) -> None:
         """Handle the answer to the goal: accepted, refused, or none in time."""
@@ -345,7 +347,10 @@ class DockRobotClient(NavigateToPoseClient):
         docked: True after docking has succeeded; the caller sets it to False after undocking.
     """
 
-    _kind, _name = DOCK_ROBOT, "dock_robot"
+    _kind, _name, _has_feedback = DOCK_ROBOT, "dock_robot", False
+    _decode_result = staticmethod(
+        partial(navigation.decode_result, has_success=True, has_retries=True)
+    )
 
     def __init__(
         self,
@@ -382,12 +387,6 @@ class DockRobotClient(NavigateToPoseClient):
         dock_id = self._docks[names.normalise(goal.target)]
         return navigation.encode_dock_goal(goal_id, goal.stamp_ns, dock_id, self._frame_id)
 
-    def _decode_result(self, payload: bytes) -> navigation.Result:
-        return navigation.decode_dock_result(payload)
-
-    def _on_feedback(self, payload: bytes) -> None:
-        """Do nothing: the feedback of DockRobot has no progress that a mission needs."""
-
 
 class UndockRobotClient(NavigateToPoseClient):
     """Client of the action UndockRobot of Nav2's docking server.
@@ -399,7 +398,8 @@ class UndockRobotClient(NavigateToPoseClient):
         go_on: called with the goal to drive to, after undocking has succeeded.
     """
 
-    _kind, _name = UNDOCK_ROBOT, "undock_robot"
+    _kind, _name, _has_feedback = UNDOCK_ROBOT, "undock_robot", False
+    _decode_result = staticmethod(partial(navigation.decode_result, has_success=True))
 
     def __init__(
         self,
@@ -419,12 +419,6 @@ class UndockRobotClient(NavigateToPoseClient):
 
     def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
         return navigation.encode_undock_goal(goal_id)
-
-    def _decode_result(self, payload: bytes) -> navigation.Result:
-        return navigation.decode_undock_result(payload)
-
-    def _on_feedback(self, payload: bytes) -> None:
-        """Do nothing: UndockRobot has no feedback."""
 
     def _finish(
         self, active: _ActiveGoal, state: Literal["reached", "failed"], reason: str

@@ -37,7 +37,7 @@ from edge.host.children import python_module
 from edge.host.signals import stop_on_signals
 from edge.recording.bag import by_log_time
 from edge.recording.channels import Channel, ros_channel, topic_channel
-from edge.recording.file import McapReader, McapWriter, RecordingError, is_complete
+from edge.recording.file import McapReader, McapWriter, RecordingError, has_end
 from edge.sources.contents import ODOMETRY, TF, TF_STATIC, missing_inputs
 
 log = logging.getLogger("edge.sources.recording")
@@ -229,7 +229,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
         RecordingError: no such file, or not a complete MCAP file.
     """
     reader = McapReader(path)
-    if is_complete(path):  # an incomplete file is not played at all
+    if has_end(path):  # an incomplete file is not played at all
         for message in by_log_time(reader):
             topic = _TOPICS.get(message.topic)
             if topic is not None:

@@ -184,14 +184,14 @@ DECODERS = {
         ("decode_result",),
     ),
     "dock result": Decoder(
-        navigation.decode_dock_result,
+        lambda payload: navigation.decode_result(payload, has_success=True, has_retries=True),
         tuple(encode(6, 903, "no way") for encode, _ in DOCK_FAREWELLS.values()),
-        ("decode_dock_result",),
+        ("decode_result",),
     ),
     "undock result": Decoder(
-        navigation.decode_undock_result,
+        lambda payload: navigation.decode_result(payload, has_success=True),
         tuple(encode(6, 903, "no way") for encode, _ in UNDOCK_FAREWELLS.values()),
-        ("decode_undock_result",),
+        ("decode_result",),
     ),
     "goal feedback": Decoder(navigation.decode_feedback, (_feedback(),), ("decode_feedback",)),
     "goal statuses": Decoder(

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from recordings import Recording
 
 from edge.errors import UserError
-from edge.recording import channels, commands, file
+from edge.recording import channels, commands, file, rolling
 from edge.recording.channels import Channel
 from edge.recording.file import McapReader, McapWriter, RecordedMessage
 from edge.recording.reader import MAGIC
@@ -36,8 +36,9 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
-    recording = Recording(tmp_path_factory.mktemp("run"), sync_s=1e-9, rgb_hz=100.0)
-    return recording.steps(4).close()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rolling, "SYNC_S", 1e-9)
+        return Recording(tmp_path_factory.mktemp("run"), rgb_hz=100.0).steps(4).close()
 
 
 def reads_or_refuses(read: Callable[[], object]) -> bool:

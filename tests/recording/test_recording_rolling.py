@@ -13,7 +13,7 @@ from edge.bus import topics
 from edge.recording import rolling as rolling_module
 from edge.recording.channels import topic_channel
 from edge.recording.file import PARTIAL, McapReader, _UnbufferedFile
-from edge.recording.rolling import RecordingLimits, RollingRecorder, files_of, make_room
+from edge.recording.rolling import MAX_S, RollingRecorder, files_of, make_room
 
 STATUS = topic_channel(topics.STATUS)
 NOISE = os.urandom(100_000)  # does not get smaller
@@ -31,10 +31,8 @@ def clock() -> Clock:
     return Clock()
 
 
-def rolling(folder, clock, **limits: float) -> RollingRecorder:
-    return RollingRecorder(
-        folder, RecordingLimits(**limits), "lz4", lambda n: {"t": {"part": str(n)}}, clock
-    )
+def rolling(folder, clock, max_mb: float = 256.0, keep_mb: float = 4096.0) -> RollingRecorder:
+    return RollingRecorder(folder, max_mb, keep_mb, "lz4", lambda n: {"t": {"part": str(n)}}, clock)
 
 
 def put(files: RollingRecorder, n: int = 1, payload: bytes = b"{}") -> None:
@@ -61,10 +59,10 @@ def test_a_complete_file_gets_its_final_name(tmp_path, clock):
 
 
 def test_a_file_that_is_old_is_followed_by_the_next(tmp_path, clock):
-    files = rolling(tmp_path, clock, max_s=10.0)
+    files = rolling(tmp_path, clock)
     for _ in range(3):
         put(files, 2)
-        clock.s += 11.0
+        clock.s += MAX_S + 1.0
     files.close()
     parts = []
     for path in files_of(tmp_path):
@@ -74,7 +72,7 @@ def test_a_file_that_is_old_is_followed_by_the_next(tmp_path, clock):
     assert parts == ["0", "1", "2"]
 
 
-def test_the_oldest_files_are_removed_unless_being_written(tmp_path, clock):
+def test_the_oldest_files_are_removed_unless_being_written(tmp_path, clock, monkeypatch):
     other = rolling(tmp_path, clock)
     put(other, 5, NOISE)
     written = files_of(tmp_path)[0]
@@ -84,7 +82,8 @@ def test_the_oldest_files_are_removed_unless_being_written(tmp_path, clock):
     ]
     for path in foreign:
         path.write_bytes(NOISE)
-    files = rolling(tmp_path, clock, max_mb=1.0, keep_mb=3.0, sync_s=0.0)
+    monkeypatch.setattr("edge.recording.rolling.SYNC_S", 0.0)
+    files = rolling(tmp_path, clock, max_mb=1.0, keep_mb=3.0)
     put(files, 60, NOISE)
     files.close()
     left = files_of(tmp_path)
@@ -151,9 +150,9 @@ def test_a_file_deleted_by_another_process_does_not_disturb(tmp_path, clock, mon
 
 @pytest.mark.parametrize("step", ["write", "fsync", "close", "replace"])
 def test_recording_goes_on_after_an_error_at_the_end_of_a_file(tmp_path, clock, monkeypatch, step):
-    files = rolling(tmp_path, clock, max_s=10.0)
+    files = rolling(tmp_path, clock)
     put(files, 2)
-    clock.s += 11.0
+    clock.s += MAX_S + 1.0
 
     def fail(*_):
         raise OSError(5, "Input/output error")
@@ -177,11 +176,13 @@ import logging, resource, sys
 from pathlib import Path
 from edge.bus import topics
 from edge.recording.channels import topic_channel
-from edge.recording.rolling import RecordingLimits, RollingRecorder
+from edge.recording import rolling
 logging.basicConfig(format="%(message)s")
 now = [0.0]
-limits = RecordingLimits(sync_s=0.0)
-files = RollingRecorder(Path(sys.argv[1]), limits, "none", lambda n: {}, lambda: now[0])
+rolling.SYNC_S = 0.0
+files = rolling.RollingRecorder(
+    Path(sys.argv[1]), 256.0, 4096.0, "none", lambda n: {}, lambda: now[0]
+)
 def put(n):
     for _ in range(n):
         now[0] += 0.1

@@ -1,6 +1,7 @@
 """A robot's ROS 2, for the tests: `python ros_peer.py`, in ROS's Python, never in ours.
 
-It publishes a camera's image and odometry, and once where the camera sits; says in JSON lines what
+It publishes a camera's image and odometry, and once where the camera sits and that a latched stop
+button is pressed, while a best-effort one is not; says in JSON lines what
 comes to it, and who hears the images; and serves NavigateToPose as the goal's x says, which
 `ros_peer_facts.py` names.
 """
@@ -21,6 +22,7 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from ros_peer_facts import ABORTED, ENDLESS, MOUNTED, PIXELS, REJECTED, STAMP_NS
 from sensor_msgs.msg import Image
+from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
 
@@ -38,6 +40,9 @@ class Peer:
         self.node.create_subscription(OccupancyGrid, "/edge/occupancy", self._on_map, latched)
         self._moored = self.node.create_publisher(TFMessage, "/tf_static", latched)
         self._moor()
+        self._button = self.node.create_publisher(Bool, "/edge/stop", latched)
+        self._button.publish(Bool(data=True))  # pressed before the start
+        self._loose = self.node.create_publisher(Bool, "/edge/stop", qos_profile_sensor_data)
         self.node.create_timer(0.1, self._publish)
         self._server = ActionServer(
             self.node, NavigateToPose, "/navigate_to_pose", self._navigate,
@@ -55,6 +60,7 @@ class Peer:
         odometry.pose.pose.orientation.w = 1.0
         odometry.twist.twist.linear.x = 0.25
         self._odometry.publish(odometry)
+        self._loose.publish(Bool(data=False))
         if (watched := self._images.get_subscription_count()) != self._watched:
             self._watched = watched
             say(watched=watched)

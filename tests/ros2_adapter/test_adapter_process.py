@@ -19,6 +19,7 @@ from edge.config import Config, ConfigError, load
 from edge.config.yaml_text import parse_yaml
 from edge.errors import UnavailableError
 from edge.ros2_adapter import process
+from edge.ros2_adapter.node import passing
 
 LIGHT = {"rclpy", "zenoh", "launch", "action", "passing"}
 
@@ -65,6 +66,45 @@ def test_each_topic_has_its_key_type_and_qos(ros, kind, quality):
     config = adapted({"reliable": ["camera/rgb", "lidar/scan"]}, topics={"camera/rgb": COMPRESSED})
     one = passed(process.make_plan(config), ros)
     assert one.items() >= {"key": f"edge/ros2{ros}", "type": kind, **quality}.items()
+
+
+def test_a_stop_is_heard_latched_best_effort_and_reliably():
+    heard = [one for one in process.make_plan(adapted())["heard"] if one["ros"] == "/edge/stop"]
+    assert {(one["reliable"], one["latched"]) for one in heard} == {
+        (False, False), (True, False), (True, True),
+    }  # fmt: skip
+    assert {(one["key"], one["type"]) for one in heard} == {
+        ("edge/ros2/edge/stop", "std_msgs/msg/Bool")
+    }
+
+
+class MadeOf:
+    """An object with these attributes."""
+
+    def __init__(self, **attributes: object) -> None:
+        self.__dict__ |= attributes
+
+
+def test_only_a_silent_sensor_is_reported(monkeypatch, caplog):
+    publisher = MadeOf(matching_status=MadeOf(matching=True))
+    ends = passing.AdapterEnds(
+        node=MadeOf(create_subscription=lambda *_, **__: object(),
+                    get_publishers_info_by_topic=lambda _: []),
+        session=MadeOf(declare_publisher=lambda *_, **__: publisher),
+        zenoh=MadeOf(CongestionControl=MadeOf(DROP="drop")), wake=lambda: None,
+    )  # fmt: skip
+    for name in ("make_qos", "make_callbacks"):  # they need rclpy
+        monkeypatch.setattr(passing, name, lambda _: None)
+    heard = process.make_plan(adapted(requests=True))["heard"]
+    names = "/odom", "/edge/stop", "/edge/request"
+    topics = [passing.FromRos(ends, one, None) for one in heard if one["ros"] in names]
+    assert len(topics) == 5
+    for now_s in (0.0, 10.0, 20.0):
+        monkeypatch.setattr(passing, "time", MadeOf(monotonic=lambda now_s=now_s: now_s))
+        for topic in topics:
+            topic.update()
+    assert all(topic.wanted for topic in topics)
+    assert caplog.messages == ["/odom: no message yet: it has no publisher"]
 
 
 def test_the_plan_is_json_with_the_zenoh_configuration():

@@ -8,7 +8,9 @@ from __future__ import annotations
 import json
 import signal
 import sys
+import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +24,11 @@ from secure_files import etc_edge, settings_of
 from simulated import simulated
 
 from edge.bus.ros2.node import Ros2Subscription, open_node
+from edge.bus.ros2.requests import BOOL
 from edge.bus.ros2.topics import PUBLISHED, SUBSCRIBED
 from edge.bus.session import zenoh_session
 from edge.bus.wire import messages, transforms
+from edge.bus.wire.cdr import HEADER
 from edge.config import Config
 from edge.geometry import SE2, Grid
 from edge.host.ports import free_port
@@ -170,6 +174,20 @@ def test_a_late_subscriber_gets_static_transforms(adapter, service):
     assert (transform.parent, transform.child) == ("base_link", "camera")
     np.testing.assert_allclose(transform.T[:3, 3], MOUNTED)
     late.close()
+
+
+def test_a_latched_stop_from_before_and_a_best_effort_button_are_heard(adapter, service):
+    for _ in range(2):  # as often as the service starts
+        with closing(service.node.subscription("/edge/stop", (BOOL,), 16, latched=True)) as topic:
+            heard: set[int] = set()  # the first byte after the header
+
+            def both(topic=topic, heard=heard) -> bool:
+                heard.update(payload.to_bytes()[len(HEADER)] for _, payload in topic.take())
+                return heard == {0, 1}
+
+            eventually(both, lambda heard=heard: f"heard only {heard}")
+        time.sleep(1.0)  # the adapter notices that it is closed
+    assert adapter.count("offering incompatible QoS") == 0
 
 
 def test_invalid_messages_do_not_reach_ros(adapter, service, robot):

@@ -201,15 +201,7 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
     k = reader.read(_K, 8)
     reader.skip(_K.size, 8)  # r: rotation of a stereo camera
     p = reader.read(_P, 8)
-    binning_x, binning_y, x, y, roi_height, roi_width, _ = reader.read(_ROI, 4)
-    step_x, step_y = max(binning_x, 1), max(binning_y, 1)
-    if roi_height == 0 or roi_width == 0:
-        x, y, roi_height, roi_width = 0, 0, height, width
-    if x + roi_width > width or y + roi_height > height:
-        raise DecodeError(
-            f"region of interest (roi) {roi_width}x{roi_height} at ({x}, {y}) px is outside the "
-            f"image of {width}x{height}"
-        )
+    step_x, step_y, x, y, roi_width, roi_height = _region_of_interest(reader, width, height)
 
     def pinhole(fx: float, fy: float, cx: float, cy: float) -> CameraModel:
         """Return the camera of the sent images, from intrinsics of the entire sensor."""
@@ -228,6 +220,21 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
     is_full = (step_x, step_y, roi_width, roi_height) == (1, 1, width, height)
     cut = f"binning {step_x}x{step_y}, roi {roi_width}x{roi_height} at ({x}, {y})"
     return CameraCalibration(stamp_ns, camera, lens, "" if is_full else cut)
+
+
+def _region_of_interest(
+    reader: CdrReader, width: int, height: int
+) -> tuple[int, int, int, int, int, int]:
+    """Read the part of the sensor that images show: binning in x and y, x, y, width and height."""
+    binning_x, binning_y, x, y, roi_height, roi_width, _ = reader.read(_ROI, 4)
+    if roi_height == 0 or roi_width == 0:
+        x, y, roi_height, roi_width = 0, 0, height, width
+    if x + roi_width > width or y + roi_height > height:
+        raise DecodeError(
+            f"region of interest (roi) {roi_width}x{roi_height} at ({x}, {y}) px is outside the "
+            f"image of {width}x{height}"
+        )
+    return max(binning_x, 1), max(binning_y, 1), x, y, roi_width, roi_height
 
 
 def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) -> bytes:

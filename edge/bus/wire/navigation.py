@@ -56,25 +56,6 @@ def encode_undock_goal(goal_id: bytes) -> bytes:
     return CdrWriter().write(_UUID, 1, goal_id).string("").write(_F32, 4, _MAX_UNDOCKING_S).bytes()
 
 
-def decode_undock_result(payload: bytes) -> Result:
-    """Decode UndockRobot_GetResult_Response of any distribution."""
-    reader = CdrReader(payload)
-    (status,) = reader.read(_I8, 1)
-    reader.read(U8, 1)  # success, which the status has as well
-    (code,) = reader.read(_U16, 2)
-    return Result(status, code, reader.string() if reader.left >= 4 else "")
-
-
-def decode_dock_result(payload: bytes) -> Result:
-    """Decode DockRobot_GetResult_Response of any distribution."""
-    reader = CdrReader(payload)
-    (status,) = reader.read(_I8, 1)
-    reader.read(U8, 1)  # success, which the status has as well
-    (code,) = reader.read(_U16, 2)
-    reader.read(_U16, 2)  # number of retries
-    return Result(status, code, reader.string() if reader.left >= 4 else "")
-
-
 def decode_send_goal_answer(payload: bytes) -> bool:
     """Return True if the goal was accepted."""
     (accepted,) = CdrReader(payload).read(U8, 1)
@@ -101,17 +82,26 @@ class Result:
     error: str = ""
 
 
-def decode_result(payload: bytes) -> Result:
-    """Decode NavigateToPose_GetResult_Response of any distribution.
+def decode_result(payload: bytes, has_success: bool = False, has_retries: bool = False) -> Result:
+    """Decode the GetResult_Response of an action, of any distribution.
 
-    Humble's result is empty. Later distributions have an error code, the newest also a message. The
-    length shows which fields there are.
+    Humble's result of NavigateToPose is empty. Later distributions have an error code, the newest
+    also a message. The length shows which fields there are.
+
+    Args:
+        payload: the message.
+        has_success: the result has a field `success` (DockRobot, UndockRobot).
+        has_retries: the result has a number of retries (DockRobot).
     """
     reader = CdrReader(payload)
     (status,) = reader.read(_I8, 1)
-    if reader.left < 3:
+    if has_success:  # the status has it as well
+        reader.skip(U8.size, 1)
+    elif reader.left < 3:
         return Result(status)
     (code,) = reader.read(_U16, 2)
+    if has_retries:
+        reader.skip(_U16.size, 2)
     return Result(status, code, reader.string() if reader.left >= 4 else "")
 
 

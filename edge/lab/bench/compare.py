@@ -134,7 +134,6 @@ def compare(
     settings = settings.model_copy(update={"background": background})
     tau_det = config.perception.tau_det
     limit_s = LOAD_TIMEOUT_S + _FRAME_S * len(pictures.rgb)
-    before = machine.describe()
     job = DetectorJob(settings, prompts, pictures.rgb, tau_det)
     results: Results = []
     for number, variant in enumerate(todo, 1):
@@ -146,8 +145,7 @@ def compare(
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "family": todo[0].card.family,
         "config": config.path,
-        "machine": before,
-        "clock_after": machine.describe().get("cpu_clock"),
+        "machine": machine.describe(),
         "frames": {
             "source": pictures.source,
             "count": len(pictures.rgb),

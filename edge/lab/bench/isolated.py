@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import pickle
 import subprocess
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from edge.errors import UserError
 from edge.host.children import python_module
-from edge.host.private_folder import private_folder
 from edge.logs import setup
 from edge.text import one_line
 
@@ -49,8 +49,8 @@ def run_isolated(module: str, job: object, limit_s: float, origin: str = "") -> 
     Returns:
         The result, or one line of text (str) that says why there is none.
     """
-    with private_folder("edge-bench-") as folder:
-        job_file, out = folder / "job", folder / "out"
+    with tempfile.TemporaryDirectory(prefix="edge-bench-", ignore_cleanup_errors=True) as folder:
+        job_file, out = Path(folder, "job"), Path(folder, "out")
         job_file.write_bytes(pickle.dumps(job))
         try:
             done = subprocess.run(

@@ -89,7 +89,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
             often.append(action.pass_requests)
             rarely.append(action.update)
         log.info("passing up to %d topics from ROS 2 to edge, and %d from edge to ROS 2",
-                 len(received), len(plan["said"]))  # fmt: skip
+                 len({topic["ros"] for topic in plan["heard"]}), len(plan["said"]))  # fmt: skip
         while not stop.is_set():
             executor.spin_once(timeout_sec=GRAPH_S)
             for update in often:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -110,8 +109,8 @@ class NavigateProxy:
             return ServiceProxy(ends, names(name), kind, on_answer)
 
         def topic(name: str, kind: Any) -> FromRos:
-            quality = {"reliable": True, "latched": False, "depth": 10}
-            return FromRos(ends, {**names(name), **quality}, kind, patience_s=math.inf)
+            quality = {"reliable": True, "latched": False, "on_events": True, "depth": 10}
+            return FromRos(ends, {**names(name), **quality}, kind)
 
         self._cancel_goal = impl.CancelGoalService
         self._send = service("send_goal", impl.SendGoalService, self._on_accepted)

@@ -98,33 +98,42 @@ def make_qos(topic_plan: dict[str, Any]) -> Any:
     )
 
 
+def make_callbacks(topic_plan: dict[str, Any]) -> Any:
+    """Return rclpy's event callbacks; None: its own.
+
+    Its own warn of each publisher with another quality of service. `stop` is subscribed with each.
+    """
+    if not topic_plan["on_events"]:
+        return None
+    try:
+        from rclpy.event_handler import SubscriptionEventCallbacks
+    except ImportError:  # Humble
+        from rclpy.qos_event import SubscriptionEventCallbacks
+    return SubscriptionEventCallbacks(use_default_callbacks=False)
+
+
 class FromRos:
     """A ROS topic, passed to Zenoh while there is a subscriber on Zenoh.
 
-    A latched topic is always subscribed, and kept for late subscribers.
+    A latched topic is always subscribed, and kept for late subscribers. A topic of events is not:
+    each new subscription gets what its publishers hold then, and not a stop that they took back.
 
     Args:
         ends: node and session.
         topic_plan: entry of the topic in the plan: names, type and quality of service.
         kind: the message class.
-        patience_s: time without messages before a warning.
 
     Attributes:
-        wanted: True if there is a subscriber on Zenoh; always False for a latched topic.
+        wanted: True if there is a subscriber on Zenoh; always False for a topic that is kept.
     """
 
-    def __init__(
-        self,
-        ends: AdapterEnds,
-        topic_plan: dict[str, Any],
-        kind: Any,
-        patience_s: float = PATIENCE_S,
-    ) -> None:
+    def __init__(self, ends: AdapterEnds, topic_plan: dict[str, Any], kind: Any) -> None:
         self.wanted = False
         self._node, self._plan, self._kind = ends.node, topic_plan, kind
-        self._patience_s, self._due_s, self._received = patience_s, math.inf, 0
+        self._patience_s = math.inf if topic_plan["on_events"] else PATIENCE_S
+        self._due_s, self._received = math.inf, 0
         self._subscription: Any = None
-        self._latched = topic_plan["latched"]
+        self._latched = topic_plan["latched"] and not topic_plan["on_events"]
         key, drop = topic_plan["key"], ends.zenoh.CongestionControl.DROP
         if self._latched:
             ext = import_module("zenoh.ext")
@@ -151,8 +160,9 @@ class FromRos:
     def _subscribe(self, now_s: float) -> None:
         self._received, self._due_s = 0, now_s + self._patience_s
         self._subscription = self._node.create_subscription(
-            self._kind, self._plan["ros"], self._forward, make_qos(self._plan), raw=True
-        )
+            self._kind, self._plan["ros"], self._forward, make_qos(self._plan), raw=True,
+            event_callbacks=make_callbacks(self._plan),
+        )  # fmt: skip
 
     def _unsubscribe(self) -> None:
         self._node.destroy_subscription(self._subscription)

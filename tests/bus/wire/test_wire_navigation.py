@@ -141,7 +141,7 @@ def test_its_result_in_every_distribution(distribution):
 @pytest.mark.parametrize("distribution", DOCK_FAREWELLS)
 def test_the_result_of_docking(distribution):
     farewell, expected = DOCK_FAREWELLS[distribution]
-    assert navigation.decode_dock_result(farewell(6, 902, "no dock")) == expected
+    assert navigation.decode_result(farewell(6, 902, "no dock"), True, True) == expected
 
 
 def test_a_goal_of_docking():
@@ -157,7 +157,7 @@ def test_a_goal_of_docking():
 @pytest.mark.parametrize("distribution", UNDOCK_FAREWELLS)
 def test_the_result_of_undocking(distribution):
     farewell, expected = UNDOCK_FAREWELLS[distribution]
-    assert navigation.decode_undock_result(farewell(6, 902, "no dock")) == expected
+    assert navigation.decode_result(farewell(6, 902, "no dock"), True) == expected
 
 
 def test_a_goal_of_undocking():

@@ -17,7 +17,7 @@ from edge.errors import UserError
 from edge.loop.warmup import warm_up
 from edge.recording.file import PARTIAL, McapReader, RecordingError
 from edge.recording.replay import replay
-from edge.recording.rolling import RecordingLimits, files_of
+from edge.recording.rolling import KEEP_MB, files_of
 from edge.recording.session import RecordedRun
 from edge.text import one_line
 
@@ -54,9 +54,7 @@ class RecordingCheck:
         self.size_mb = 0.0
         self.first = out / FIRST
         self._folder = Path(sinks[0].options["folder"]) if sinks else None
-        self._limit_mb = sum(
-            sink.options.get("keep_mb", RecordingLimits().keep_mb) for sink in sinks
-        )
+        self._limit_mb = sum(sink.options.get("keep_mb", KEEP_MB) for sink in sinks)
         self._read: set[Path] = set()
 
     def check_next_file(self) -> None:
