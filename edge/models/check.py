@@ -17,7 +17,7 @@ import numpy as np
 
 from edge.host.children import python_module
 from edge.models.make import load_single_file_card
-from edge.models.pull import cards_of
+from edge.models.pull import NO_FILE, cards_of
 from edge.perception.detection import kernels
 from edge.perception.detection.onnx import far_px
 from edge.perception.masks.ground import class_map, pixels_of
@@ -66,7 +66,10 @@ def run(args: argparse.Namespace) -> int:
             raise ModelError("--file needs the NAME of the card to check the file against")
         return _report([(load_single_file_card(args.name), args.file)], args.timeout)
     if args.name is not None:
-        return _report([(card, None) for card in cards_of(args.name)], args.timeout)
+        cards = cards_of(args.name)
+        if not cards:
+            print(f"{args.name}: {NO_FILE}")
+        return _report([(card, None) for card in cards], args.timeout)
     present = [file for card in all_cards() for file in card.files if file.is_here()]
     if not present:
         print(

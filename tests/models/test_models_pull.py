@@ -188,6 +188,17 @@ def test_a_scorer_pulls_each_of_its_models_once(put_card, server, capsys):
     assert pulled() == {weights_file(): WEIGHTS}
 
 
+@pytest.mark.parametrize("name", ["running-detector-similarity", "cooccurrence-similarity"])
+def test_a_scorer_of_the_running_detector_has_no_file(name, capsys):
+    assert main(["models", "pull", name]) == 0
+    assert main(["models", "list", "--check", name]) == 0
+    out, err = capsys.readouterr()
+    assert out.count(f"{name}: has no file: it uses the running detector") == 2
+    assert main(["models", "export", name]) == os.EX_UNAVAILABLE
+    assert "name one that it uses: the one of perception.detector.model" in capsys.readouterr().err
+    assert err == ""
+
+
 @pytest.fixture
 def an_index(server, monkeypatch):
     """an_index(content): has pip look at an index with a wheel of that content."""
