@@ -39,6 +39,7 @@ from edge.perception.runtime.card_types import (
 from edge.perception.runtime.cards import (
     ModelError,
     expected_of_part,
+    expected_sha256,
     install_hint,
     load_card,
     sidecar,
@@ -139,8 +140,10 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
         return [f"{card.name}: is part of edge-vln: {card.path}"]
     files, lines = wanted(card), []
     # A card without a hash is of a model that is exported: take an export, or else the weights.
-    if card.sha256 is None and (path := _take_export(card, options)):
-        lines.append(f"{card.name}: model: {path}")
+    path = _take_export(card, options) if card.sha256 is None else None
+    is_kept = not (path or files or options.places) and _has_recorded_hash(card)
+    if path or is_kept:
+        lines.append(f"{card.name}: model: {f'already here: {card.path}' if is_kept else path}")
         files = [file for file in files if file.what != "weights"]
         if isinstance(card, TextCard) and not any(file.what == "tokenizer" for file in files):
             lines += _pull_tokenizer(card, options)
@@ -159,6 +162,11 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
         pictures = " --calibration PICTURES" if card.derived_from else ""
         lines.append(f"{card.name}: next: edge models export {card.name}{pictures}")
     return lines
+
+
+def _has_recorded_hash(card: FileCard) -> bool:
+    """Return True if the model's file is here, with the hash of its record."""
+    return card.is_here() and fresh_sha256(card.path) == expected_sha256(card)
 
 
 def _take_export(card: FileCard, options: PullOptions) -> Path | None:

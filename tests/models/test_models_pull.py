@@ -387,6 +387,25 @@ def test_a_sound_model_is_kept_if_a_pull_fails(put_card, tmp_path, monkeypatch, 
     assert json.loads(pulled()["tiny.onnx.json"]) == {"sha256": sha(MODEL)}
 
 
+def test_an_export_without_sources_that_is_here_is_pulled_again(put_card, tmp_path, capsys):
+    """Its text encoder is pulled nevertheless; a damaged model is an error."""
+    put_card(card(text_encoder="words"))
+    put_card(text_card(name="words", words=None))
+    stick = tmp_path / "stick"
+    put_export(stick, MODEL)
+    (stick / "words.json").write_bytes(TOKENS)
+    assert main(["models", "pull", "tiny", "--from", str(stick)]) == 0
+    capsys.readouterr()
+    assert main(["models", "pull", "tiny"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    model = resources.models_dir() / "tiny.onnx"
+    assert lines[0] == f"tiny: model: already here: {model}"
+    assert [line.startswith("words: already here") for line in lines] == [False, False, True]
+    model.write_bytes(b"damaged")
+    assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
+    assert "names no sources" in capsys.readouterr().err
+
+
 def no_space(*_):
     raise OSError(28, "No space left on device")
 
