@@ -26,7 +26,6 @@ from edge.perception.runtime.card_types import ImageCard
 from edge.perception.runtime.cards import (
     DetectCard,
     ModelError,
-    expected_sha256,
     load_detector_card,
     verify_model,
 )
@@ -61,7 +60,7 @@ def engine_options(
         few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_TEXTS, MAX_TEXTS))
         shapes["txt_feats"] = (few, usual, many)
     cache = None if detector.engine_cache is None else resources.expand(detector.engine_cache)
-    return EngineOptions(card.name, card.precision, shapes, cache, progress, expected_sha256(card))
+    return EngineOptions(card.name, card.precision, shapes, cache, progress)
 
 
 def far_px(card: DetectCard) -> float:
