@@ -38,8 +38,7 @@ from edge.perception.runtime.card_types import (
 )
 from edge.perception.runtime.cards import (
     ModelError,
-    expected_of_part,
-    expected_sha256,
+    expected_of,
     install_hint,
     load_card,
     sidecar,
@@ -166,7 +165,7 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
 
 def _has_recorded_hash(card: FileCard) -> bool:
     """Return True if the model's file is here, with the hash of its record."""
-    return card.is_here() and fresh_sha256(card.path) == expected_sha256(card)
+    return card.is_here() and fresh_sha256(card.path) == expected_of(card, card.path)[0]
 
 
 def _take_export(card: FileCard, options: PullOptions) -> Path | None:
@@ -190,7 +189,7 @@ def _pull_tokenizer(card: TextCard, options: PullOptions) -> list[str]:
     if path is None or not isinstance(tokenizer, ClipTokenizer):
         return []
     file = FolderFile(file=tokenizer.file, sha256=tokenizer.sha256)
-    if expected_of_part(file, path)[0] is None and path.is_file():
+    if expected_of(file, path)[0] is None and path.is_file():
         return [f"{card.name}: tokenizer: here, of an unknown hash: {path}"]
     return [_pull_part(card, file, path, options)]
 
@@ -291,7 +290,7 @@ def _pull_part(
     If the hash is unknown, the hash of the first download is saved next to the file and is valid
     from then on.
     """
-    known, size = expected_of_part(file, target)  # hash and size; None if unknown
+    known, size = expected_of(file, target)  # hash and size; None if unknown
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
         return f"{card.name}: already here: {target}"
     reason: FetchError | str = "the model card names no address"
