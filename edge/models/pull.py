@@ -360,8 +360,6 @@ def _fill_from(
         else:
             name = source_file_name(file.sources[0])
             _download(attempt + name if attempt.endswith("/") else attempt, part, options)
-    elif attempt.kind == "path":
-        copy_from(resources.expand(attempt.path), part, file.sources)
     elif attempt.kind == "url":
         _download(attempt.url, part, options)
     else:

