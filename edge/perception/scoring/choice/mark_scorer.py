@@ -7,7 +7,7 @@ network of this size learns to use numbers sooner than to read letters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import open_onnxruntime_session
+from edge.perception.scoring.choice.process import ProcessMarks
 from edge.perception.scoring.choice.question import (
     MAX_MARKS,
     FrontierChoice,
@@ -32,18 +33,6 @@ from edge.perception.scoring.choice.question import (
 
 FAR_M = 20.0
 """Largest path length that the network gets; longer paths and unreachable marks get this value."""
-
-
-class MarkModel(Protocol):
-    """A mark network in this process (`MarkNetwork`) or in its own (`ProcessMarks`)."""
-
-    name: str
-
-    def ask(
-        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
-    ) -> list[np.ndarray]: ...
-
-    def close(self) -> None: ...
 
 
 class MarkNetwork:
@@ -162,7 +151,9 @@ class MarkScorer:
         name: name of the network's card.
     """
 
-    def __init__(self, card: MarksCard, network: MarkModel, limit_s: float) -> None:
+    def __init__(
+        self, card: MarksCard, network: MarkNetwork | ProcessMarks, limit_s: float
+    ) -> None:
         self.name, self._card = card.name, card
         self._network, self._limit_s = network, limit_s
 
