@@ -13,10 +13,8 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `
 
 from edge.config import ChoiceOnnx, PerceptionConfig
 from edge.perception.embedding.text import PromptError
-from edge.perception.runtime.card_types import MARK_FIELDS, MarksCard
-from edge.perception.runtime.cards import load_card_of, verify_model
+from edge.perception.runtime.card_types import MARK_FIELDS
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.scoring.choice import mark_scorer
 from edge.perception.scoring.choice.factory import make_view_scorer, open_view_scorer
 from edge.perception.scoring.choice.mark_scorer import MarkNetwork, MarkScorer, letterboxed
@@ -254,10 +252,6 @@ def test_mark_order_and_image_size_change_little(shipped):
 
 
 # -- TensorRT -------------------------------------------------------------------------------------
-
-
-def test_every_input_has_a_fixed_shape():
-    check_fixed(verify_model(load_card_of(MarksCard, NAME)), "providers")
 
 
 def test_int8_for_a_cpu_is_refused_for_tensorrt():
