@@ -12,6 +12,7 @@ import numpy as np
 
 from edge.host.files import read_regular
 from edge.perception.embedding.text import PromptError, load_vocabulary
+from edge.perception.runtime.letterbox import At, letterboxed
 from exporters.files import ExportError
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
@@ -22,14 +23,14 @@ class Border(NamedTuple):
 
     Attributes:
         grey: its value, 0 to 255.
-        centred: True: the image is in the middle; False: in the upper left corner.
+        at: place of the image; see `Preprocess`.
     """
 
     grey: int
-    centred: bool
+    at: At
 
 
-CENTRED = Border(114, centred=True)  # as YOLO was trained with
+CENTRED = Border(114, "centre")  # as YOLO was trained with
 PROMPTS = (
     "chair,armchair,sofa,bed,dining table,coffee table,desk,nightstand,cabinet,bookcase,"
     "refrigerator,microwave oven,oven,sink,toilet,bathtub,television,lamp,chandelier,vase,"
@@ -72,7 +73,7 @@ def digest_of(paths: list[Path]) -> str:
 
 def load_input(path: Path, hw: tuple[int, int], border: Border = CENTRED) -> np.ndarray:
     """Return an image file as the detector's `images` input, (1, 3, H, W) float32 RGB 0..1."""
-    return as_input(letterbox(read_rgb(path), hw, border))
+    return as_input(letterboxed(read_rgb(path), hw, *border)[0])
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -87,19 +88,6 @@ def read_rgb(path: Path) -> np.ndarray:
 def as_input(rgb: np.ndarray) -> np.ndarray:
     """Convert (h, w, 3) uint8 to (1, 3, h, w) float32 in 0..1."""
     return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
-
-
-def letterbox(rgb: np.ndarray, hw: tuple[int, int], border: Border = CENTRED) -> np.ndarray:
-    """Scale (h, w, 3) uint8 to fit H×W, on grey; return (H, W, 3) uint8."""
-    scale = min(hw[0] / rgb.shape[0], hw[1] / rgb.shape[1])
-    height, width = round(rgb.shape[0] * scale), round(rgb.shape[1] * scale)
-    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    canvas = np.full((*hw, 3), border.grey, np.uint8)
-    top, left = ((hw[0] - height) // 2, (hw[1] - width) // 2) if border.centred else (0, 0)
-    canvas[top : top + height, left : left + width] = cv2.resize(
-        rgb, (width, height), interpolation=interpolation
-    )
-    return canvas
 
 
 def load_text_embeddings(path: Path) -> TextEmbeddings:

@@ -48,7 +48,7 @@ from exporters.yolo_world import INPUTS, OUTPUTS
 
 LIMITS = {"fp32": FP32_LIMITS, "fp16": FP16_LIMITS, "int8-cpu": INT8_LIMITS}
 """Limits of the parity, by the precision of the detector."""
-CORNER = Border(128, centred=False)
+CORNER = Border(128, "corner")
 """Border of an image, as `Owlv2ImageProcessor` makes it."""
 SENTENCE = "a photo of a {}"
 """Sentence around a prompt, as in the publisher's examples."""
@@ -140,7 +140,7 @@ def make_cards(
         "input": {"height": side, "width": side},
         "preprocess": {
             "color": "rgb", "scale": 1 / 255, "letterbox_pad": CORNER.grey,
-            "letterbox_at": "corner",
+            "letterbox_at": CORNER.at,
         },
         "text_dim": dim, "text_encoder": text,
     }, {

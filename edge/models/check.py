@@ -17,7 +17,7 @@ import numpy as np
 
 from edge.host.children import python_module
 from edge.models.make import load_single_file_card
-from edge.models.pull import cards_of
+from edge.models.pull import NO_FILE, cards_of
 from edge.perception.detection import kernels
 from edge.perception.detection.onnx import far_px
 from edge.perception.masks.ground import class_map, pixels_of
@@ -27,8 +27,6 @@ from edge.perception.process.link import ModelProcessClient
 from edge.perception.process.wire import FrameFile
 from edge.perception.runtime import card_types
 from edge.perception.runtime.card_types import (
-    MARK_FIELDS,
-    OTHERS_FIELDS,
     ChoiceCard,
     DetectCard,
     FileCard,
@@ -66,7 +64,10 @@ def run(args: argparse.Namespace) -> int:
             raise ModelError("--file needs the NAME of the card to check the file against")
         return _report([(load_single_file_card(args.name), args.file)], args.timeout)
     if args.name is not None:
-        return _report([(card, None) for card in cards_of(args.name)], args.timeout)
+        cards = cards_of(args.name)
+        if not cards:
+            print(f"{args.name}: {NO_FILE}")
+        return _report([(card, None) for card in cards], args.timeout)
     present = [file for card in all_cards() for file in card.files if file.is_here()]
     if not present:
         print(
@@ -200,14 +201,8 @@ def _check_choice(card: ChoiceCard) -> str:
 
 def _check_marks(path: Path | str, session: Any, card: MarksCard) -> str:
     """Choose among random marks in an image of noise."""
-    random = np.random.default_rng(0)
-    text = random.normal(size=(1, card.text_dim)).astype(np.float32)
-    text /= np.linalg.norm(text, axis=1, keepdims=True)
-    images = random.random((1, 3, card.input.height, card.input.width), dtype=np.float32)
-    marks = random.random((1, MAX_MARKS, MARK_FIELDS), dtype=np.float32)
-    marks[..., -1] = 1.0  # each mark is there
-    others = random.random((1, OTHERS_FIELDS), dtype=np.float32)
-    feed = {"images": images, "txt_feats": text, "marks": marks, "others": others}
+    feed = _noise(session)
+    feed["marks"][..., -1] = 1.0  # each mark is there
     directions, scene = _infer(path, session, feed)
     _check_output(path, "directions", directions, (1, MAX_MARKS + 1))
     _check_output(path, "scene", scene, (1, 1))
@@ -232,10 +227,7 @@ def _check_encoder(path: Path | str, session: Any, card: FileCard) -> str:
 
 def _check_mask_encoder(path: Path, session: Any, card: MaskEncoderCard) -> str:
     """Encode an image of noise."""
-    pixels = np.random.default_rng(0).random(
-        (1, 3, card.input.height, card.input.width), dtype=np.float32
-    )
-    found = _infer(path, session, {session.get_inputs()[0].name: pixels})
+    found = _infer(path, session, _noise(session))
     for value, array in zip(session.get_outputs(), found, strict=True):
         _check_output(path, value.name, array, array.shape)
     return f"features {', '.join(str(array.shape) for array in found)}, finite"
@@ -253,11 +245,8 @@ def _check_ground(path: Path, session: Any, card: GroundCard) -> str:
 
 
 def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
-    """Decode one box on features of zeros."""
-    feed = {
-        v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
-        for v in session.get_inputs()
-    }  # fmt: skip
+    """Decode one box on features of noise."""
+    feed = _noise(session)
     # In SAM, labels 2 and 3 say that the points are two corners of a box.
     feed["point_coords"] = np.array([[[0, 0], [64, 64]]], np.float32)
     feed["point_labels"] = np.array([[2, 3]], feed["point_labels"].dtype)
@@ -280,11 +269,7 @@ def _check_translator(path: Path, session: Any, card: TranslateCard) -> str:
 
     The outputs are keys and values of the encoder, logits, and keys and values of the decoder.
     """
-    feed = {
-        v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
-        for v in session.get_inputs()
-    }  # fmt: skip
-    across, logits, present = _infer(path, session, feed)
+    across, logits, present = _infer(path, session, _noise(session))
     _check_output(path, "across", across, across.shape)
     _check_output(path, "present", present, present.shape)
     _check_output(path, "logits", logits, (1, 1, logits.shape[-1]))
@@ -300,6 +285,16 @@ _CHECKS = {
     TranslateCard: _check_translator,
 }
 """Class of the card → check of its model; all other models are encoders of one embedding."""
+
+
+def _noise(session: Any) -> dict[str, np.ndarray]:
+    """Return inputs in [0, 1), integers 0; a size that the network leaves free is 1."""
+    random = np.random.default_rng(0)
+    return {
+        v.name: random.random([n if isinstance(n, int) else 1 for n in v.shape], np.float32)
+        .astype(DTYPES[v.type])
+        for v in session.get_inputs()
+    }  # fmt: skip
 
 
 def _infer(

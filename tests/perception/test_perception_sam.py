@@ -147,13 +147,14 @@ def test_missing_files_are_pulled_from_their_sources(put, capsys, tmp_path):
     for part in (card["encoder"], card["decoder"]):
         path = tmp_path / part["file"]
         (resources.models_dir() / part["file"]).rename(path)
-        sources.append({"kind": "path", "path": str(path), "sha256": part["sha256"]})
+        url = f"https://example.org/{part['file']}"
+        sources.append({"kind": "url", "url": url, "sha256": part["sha256"]})
     put("nano-sam", sources=sources)
     for part in (card["encoder"], card["decoder"]):
         (resources.models_dir() / part["file"]).unlink()
     assert main(["models", "list"]) == 0
     assert "missing" in capsys.readouterr().out
-    assert main(["models", "pull", "nano-sam"]) == 0
+    assert main(["models", "pull", "nano-sam", "--offline", "--from", str(tmp_path)]) == 0
     assert all(file.is_here() for file in load_card("nano-sam").files)
 
 

@@ -13,8 +13,8 @@ from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.cards import ModelError, load_card
 from edge.perception.scoring.similarity import (
     SENTENCE,
-    best_scores,
     make_similarity,
+    max_score_per_prompt,
     similarity_card,
 )
 from edge.types import Detections
@@ -39,7 +39,7 @@ def detections(make_observation, scores, class_ids, prompts=("chair", "sofa", "b
     ],
 )
 def test_the_best_score_of_each_prompt(make_observation, scores, class_ids, expected):
-    best = best_scores(detections(make_observation, scores, class_ids))
+    best = max_score_per_prompt(detections(make_observation, scores, class_ids))
     assert best.dtype == np.float32
     np.testing.assert_allclose(best, expected)
 

@@ -32,9 +32,9 @@ from edge.perception.scoring.choice.picture import visible_marks
 from edge.perception.scoring.choice.question import MarkedView
 from edge.perception.scoring.similarity import (
     SimilarityScorer,
-    best_scores,
     is_running_detector,
     make_similarity,
+    max_score_per_prompt,
     similarity_card,
 )
 from edge.perception.swap.choice import ChoiceSwap
@@ -63,7 +63,7 @@ class Scorers:
         similarity: SimilarityScorer | None,
         choice: ViewScorer | None,
         from_detections: str | None = None,
-        score_of: ScoreOf = best_scores,
+        score_of: ScoreOf = max_score_per_prompt,
         inline: bool = False,
         rest_s: float = 0.0,
         value_source: ValueSource | None = None,
@@ -291,10 +291,10 @@ def make_scorers(
 
         make_other = make_checked
     similarity, from_detections = None, None
-    score_of: ScoreOf = best_scores
+    score_of: ScoreOf = max_score_per_prompt
     if card is not None and is_running_detector(card, perception):
         from_detections = card.name
-        score_of = best_scores if card.related is None else RelatedScores()
+        score_of = max_score_per_prompt if card.related is None else RelatedScores()
     elif card is not None:
         similarity = make_similarity(card, perception, targets)
     return Scorers(

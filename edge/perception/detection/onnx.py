@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from edge import config
@@ -26,12 +25,12 @@ from edge.perception.runtime.card_types import ImageCard
 from edge.perception.runtime.cards import (
     DetectCard,
     ModelError,
-    expected_sha256,
     load_detector_card,
     verify_model,
 )
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.health import WHY_INVALID, ModelHealth, ProgressCallback, log_progress
+from edge.perception.runtime.letterbox import Fit, fit_into, scaled
 from edge.perception.runtime.sessions import TENSORRT_PROVIDERS, open_session, raise_as_model_error
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -61,7 +60,7 @@ def engine_options(
         few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_TEXTS, MAX_TEXTS))
         shapes["txt_feats"] = (few, usual, many)
     cache = None if detector.engine_cache is None else resources.expand(detector.engine_cache)
-    return EngineOptions(card.name, card.precision, shapes, cache, progress, expected_sha256(card))
+    return EngineOptions(card.name, card.precision, shapes, cache, progress)
 
 
 def far_px(card: DetectCard) -> float:
@@ -90,24 +89,6 @@ class _PromptSet:
     label: np.ndarray
     score: np.ndarray
     bound: BoundSession | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Placement:
-    """Position and scale of an image in the network's input.
-
-    Attributes:
-        scale: input pixels per image pixel.
-        top, left: first row and column of the image in the input.
-        resized: buffer for the scaled image; None if the scale is 1.
-    """
-
-    width_px: int
-    height_px: int
-    scale: float
-    top: int
-    left: int
-    resized: np.ndarray | None
 
 
 class _BoxBuffer(NamedTuple):
@@ -181,7 +162,8 @@ class OnnxDetector:
         self._background = self._known_background()
         height, width = self.card.input.height, self.card.input.width
         self._images = np.empty((1, 3, height, width), np.float32)
-        self._place = _Placement(0, 0, 1.0, 0, 0, None)  # of no image yet
+        self._fit = Fit((0, 0), 1.0, (0, 0), 0, 0)  # of no image yet
+        self._scaled = np.empty((0, 0, 3), np.uint8)  # buffer for the scaled image
         self._scale = np.float32(self.card.preprocess.scale)
         self._session = session or open_session(
             verify_model(self.card, believe_cache=True),
@@ -321,27 +303,14 @@ class OnnxDetector:
 
     def _fill_input(self, rgb: np.ndarray) -> None:
         """Scale the image and write it into the network's input."""
-        height, width = rgb.shape[:2]
-        if (width, height) != (self._place.width_px, self._place.height_px):
-            self._place = self._placement(width, height)
-            self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
-        place = self._place
-        if place.resized is not None:
-            size = (place.resized.shape[1], place.resized.shape[0])
-            how = cv2.INTER_AREA if place.scale < 1.0 else cv2.INTER_LINEAR
-            rgb = cv2.resize(rgb, size, dst=place.resized, interpolation=how)
-        kernels.to_planes(rgb, self._scale, place.top, place.left, self._images[0])
-
-    def _placement(self, width_px: int, height_px: int) -> _Placement:
-        """Fit the image into the input, scaled and placed as in training."""
-        h, w = self.card.input.height, self.card.input.width
-        scale = min(w / width_px, h / height_px)
-        new_w, new_h = max(1, round(width_px * scale)), max(1, round(height_px * scale))
-        resized = None if scale == 1.0 else np.empty((new_h, new_w, 3), np.uint8)
-        top, left = (h - new_h) // 2, (w - new_w) // 2
-        if self.card.preprocess.letterbox_at == "corner":
-            top, left = 0, 0
-        return _Placement(width_px, height_px, scale, top, left, resized)
+        if rgb.shape[:2] != self._fit.image_hw:
+            preprocess, hw = self.card.preprocess, self._images.shape[2:]
+            self._fit = fit_into(rgb.shape[:2], hw, preprocess.letterbox_at)
+            self._scaled = np.empty((*self._fit.hw, 3), np.uint8)
+            self._images.fill(preprocess.letterbox_pad * self._scale)
+        fit = self._fit
+        rgb = scaled(rgb, fit, self._scaled)
+        kernels.to_planes(rgb, self._scale, fit.top, fit.left, self._images[0])
 
     def _select_boxes(
         self, prompt_set: _PromptSet, boxes: np.ndarray, scores: np.ndarray
@@ -399,13 +368,13 @@ class OnnxDetector:
             Views of `out`.
         """
         # A place in the context has one word; targets keep the boxes of all prompts.
-        place, one_word = self._place, labels[0] > 0
+        fit, one_word = self._fit, labels[0] > 0
         n = kernels.suppress(
             boxes, prompt_set.anchor, prompt_set.label, prompt_set.score, found, *labels, one_word,
             NMS_IOU, out.selected,
         )  # fmt: skip
         n = kernels.to_image(
-            boxes, prompt_set.anchor, out.selected, n, place.scale, place.top, place.left,
-            place.width_px, place.height_px, out.xyxy_px, out.cut,
+            boxes, prompt_set.anchor, out.selected, n, fit.scale, fit.top, fit.left,
+            fit.image_hw[1], fit.image_hw[0], out.xyxy_px, out.cut,
         )  # fmt: skip
         return _BoxBuffer(*(array[:n] for array in out))

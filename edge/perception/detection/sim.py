@@ -143,11 +143,7 @@ class SimDetector:
             )
         ids = truth.ids
         if truth.labels != self._labels:
-            self._labels = truth.labels
-            self._names = tuple(names.canonical(label) for label in self._labels)
-            self._present = set(self._names)
-            self._roles = _Roles((), (), ())
-            self._resize(len(self._labels))
+            self._set_labels(truth.labels)
         kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
         prompts, nouns = self._prompts_and_nouns
         if self._roles.prompts != prompts:
@@ -180,6 +176,14 @@ class SimDetector:
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
+
+    def _set_labels(self, labels: tuple[str, ...]) -> None:
+        """Prepare for other objects, given by their labels in the simulator."""
+        self._labels = labels
+        self._names = tuple(names.canonical(label) for label in labels)
+        self._present = set(self._names)
+        self._roles = _Roles((), (), ())
+        self._resize(len(labels))
 
     def _resize(self, n: int) -> None:
         """Allocate the buffers for `n` objects; see `kernels.object_boxes`."""

@@ -28,7 +28,7 @@ from edge.perception.embedding.text import (
     tidy,
 )
 from edge.perception.runtime.card_types import ClipTokenizer, ImageCard, TextCard
-from edge.perception.runtime.cards import ModelError, expected_of_part, verify_model
+from edge.perception.runtime.cards import ModelError, expected_of, verify_model
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.model_file import fresh_sha256
 from edge.perception.runtime.sessions import open_session
@@ -181,7 +181,7 @@ def open_tokenizer(card: TextCard) -> Any:
     path = card.tokenizer_path
     if path is None or not path.is_file():
         raise ModelError(f"{path}: no such file; put the tokenizer of {card.name} there")
-    wanted, _ = expected_of_part(card.tokenizer, path)
+    wanted, _ = expected_of(card.tokenizer, path)
     if wanted is not None and fresh_sha256(path) != wanted:
         raise ModelError(
             f"{path}: damaged, or another tokenizer than that of {card.name}: its sha256 is not "

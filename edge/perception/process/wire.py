@@ -57,30 +57,25 @@ def encode(**header: object) -> bytes:
 def encode_answer(seq: int, found: Detections, health: ModelHealth, invalid_boxes: int) -> bytes:
     """Encode the detections of an image, by its number, and the detector's health.
 
-    The message is the header, a line end, and a block with the arrays.
+    They have context boxes and competing scores, as those of each `OnnxDetector`. The message is
+    the header, a line end, and a block with the arrays.
     """
-    context_boxes = found.context
+    context = found.context
     header = {
         "seq": seq,
         "n": len(found),
-        "competing_score": found.competing_score is not None,
         "prompts": found.prompts,
-        "context": None
-        if context_boxes is None
-        else {"n": len(context_boxes), "words": context_boxes.words},
+        "context": {"n": len(context), "words": context.words},
         "health": health,
         "invalid_boxes": invalid_boxes,
     }
-    block = _pack(found, found.competing_score)
-    if context_boxes is not None:
-        block += _pack(context_boxes, None)
+    # Context boxes have no competing score; zeros keep `_BOX_BYTES`.
+    block = _pack(found, found.competing_score) + _pack(context, np.zeros(len(context)))
     return encode(**header) + END_OF_HEADER + block
 
 
-def _pack(boxes: Detections | ContextBoxes, competing_score: np.ndarray | None) -> bytes:
+def _pack(boxes: Detections | ContextBoxes, competing_score: np.ndarray) -> bytes:
     """Return the arrays of boxes as bytes, one array after the other."""
-    if competing_score is None:  # zeros keep `_BOX_BYTES`; the header says that they do not count
-        competing_score = np.zeros(len(boxes), np.float32)
     arrays = (
         (boxes.xyxy_px, "<f4"),
         (boxes.score, "<f4"),
@@ -106,17 +101,12 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
         raise ValueError(f"seq: expected {seq}, got {bounded_repr(header.get('seq'), 40)}")
     if type(invalid) is not int:
         raise ValueError(f"invalid_boxes: expected an integer, got {bounded_repr(invalid, 40)}")
-    context_boxes = header.get("context")
-    if not (context_boxes is None or isinstance(context_boxes, dict)):
-        raise ValueError(
-            f"context: expected an object or null, got {bounded_repr(context_boxes, 40)}"
-        )
-    words, m = (
-        ([], 0) if context_boxes is None else (context_boxes.get("words"), context_boxes.get("n"))
-    )
+    around = header.get("context")
+    if not isinstance(around, dict):
+        raise ValueError(f"context: expected an object, got {bounded_repr(around, 40)}")
+    words, n, m = around.get("words"), header.get("n"), around.get("n")
     _check_words("prompts", prompts)
     _check_words("context", words)
-    n = header.get("n")
     counted = type(n) is int and type(m) is int and min(n, m) >= 0
     if not counted or len(block) != (n + m) * _BOX_BYTES:
         raise ValueError(
@@ -124,13 +114,8 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
             f"{bounded_repr(m, 40)} context boxes of {_BOX_BYTES} bytes"
         )
     xyxy, score, class_id, competing_score = _unpack(block[: n * _BOX_BYTES], n, prompts)
-    context = None
-    if context_boxes is not None:
-        context = ContextBoxes(*_unpack(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
-    found = Detections(
-        None, xyxy, score, class_id, tuple(prompts),
-        competing_score if header.get("competing_score") is True else None, context,
-    )  # fmt: skip
+    context = ContextBoxes(*_unpack(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
+    found = Detections(None, xyxy, score, class_id, tuple(prompts), competing_score, context)
     return DetectorReply(found, decode_health(header), invalid)
 
 

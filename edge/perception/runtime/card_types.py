@@ -79,14 +79,7 @@ class SourceWheel(_Source):
     member: str
 
 
-class SourcePath(_Source):
-    """A file on this machine, or a folder with that file."""
-
-    kind: Literal["path"] = "path"
-    path: str
-
-
-Source = Annotated[Union[SourceUrl, SourceWheel, SourcePath], Field(discriminator="kind")]
+Source = Annotated[Union[SourceUrl, SourceWheel], Field(discriminator="kind")]
 
 
 class ImageSize(_Part):

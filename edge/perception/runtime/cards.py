@@ -180,12 +180,7 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     path = card.path
     if card.server is not None:
         raise ModelError(f"model {card.name}: has no file here: {install_hint(card)}")
-    if not card.is_here():
-        raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
-    if not _check_hash(card, path, believe_cache):
-        raise ModelError(
-            f"{sidecar(path)}: no sha256 to check the model against; {install_hint(card)}"
-        )
+    _check_part(card, card, path, believe_cache)
     check_file(path, card)
     return path
 
@@ -197,15 +192,7 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
         ModelError: as `verify_model`.
     """
     for part in card.parts:
-        path = card.path_of(part)
-        if not os.path.isfile(path):
-            raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
-        sha256, size = expected_of_part(part, path)
-        if sha256 is None:
-            raise ModelError(
-                f"{sidecar(path)}: no sha256 to check the file against; {install_hint(card)}"
-            )
-        _check_hash_and_size(card, path, sha256, size, believe_cache)
+        _check_part(card, part, card.path_of(part), believe_cache)
     covered = {part.file for part in card.parts}  # files whose hashes were checked
     for part in card.networks:
         folder = os.path.dirname(part.file)
@@ -213,14 +200,30 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
         check_network(card.path_of(part), lambda file, d=folder: os.path.join(d, file) in covered)
 
 
-def expected_of_part(part: FolderFile | ClipTokenizer, path: Path) -> tuple[str | None, int | None]:
+def _check_part(
+    card: FileCard | ChoiceCard, part: FileCard | FolderFile, path: Path, believe_cache: bool
+) -> None:
+    """Raise ModelError if a file of a model is missing, has no known hash, or has another one."""
+    if not os.path.isfile(path):
+        raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
+    if not _check_hash(card, part, path, believe_cache):
+        raise ModelError(
+            f"{sidecar(path)}: no sha256 to check the file against; {install_hint(card)}"
+        )
+
+
+def expected_of(
+    part: FileCard | FolderFile | ClipTokenizer, path: Path
+) -> tuple[str | None, int | None]:
     """Return (sha256, size in bytes) of a file from its card, else from its `sidecar`.
 
     The sidecar was written when the file was made or first pulled.
     """
     if part.sha256 is not None:
         return part.sha256, None
-    return _recorded_hash_and_size(path)
+    record = _read_sidecar(path)
+    digest, size = record.get("sha256"), record.get("bytes")
+    return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None
 
 
 def verify_file(card: FileCard, path: Path) -> bool:
@@ -231,24 +234,21 @@ def verify_file(card: FileCard, path: Path) -> bool:
     """
     if not os.path.isfile(path):
         raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
-    compared = _check_hash(card, path)
+    compared = _check_hash(card, card, path)
     check_file(path, card)
     return compared
 
 
-def _check_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
+def _check_hash(
+    card: FileCard | ChoiceCard,
+    part: FileCard | FolderFile,
+    path: Path,
+    believe_cache: bool = False,
+) -> bool:
     """Check the file's hash and size; return False if no hash is known to compare with."""
-    expected, size = _expected(card, path)
+    expected, size = expected_of(part, path)
     if expected is None:
         return False
-    _check_hash_and_size(card, path, expected, size, believe_cache)
-    return True
-
-
-def _check_hash_and_size(
-    card: FileCard | ChoiceCard, path: Path, expected: str, size: int | None, believe_cache: bool
-) -> None:
-    """Raise ModelError for a file of another hash or size."""
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than expected"
@@ -259,6 +259,7 @@ def _check_hash_and_size(
             f"{path}: damaged or another model: sha256 is not {expected[:12]}…; "
             f"{install_hint(card)}"
         )
+    return True
 
 
 def install_hint(card: FileCard | ChoiceCard) -> str:
@@ -275,25 +276,6 @@ def install_hint(card: FileCard | ChoiceCard) -> str:
     if card.task in ("segment", "ground"):
         return "export it with the tool of its project and put it there"
     return f"run `edge models export {card.name}`"
-
-
-def expected_sha256(card: FileCard) -> str | None:
-    """Return the expected hash of the model's file; None if it is unknown."""
-    return _expected(card, card.path)[0]
-
-
-def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
-    """Return (sha256, size in bytes) from the card, else from the file's `sidecar`."""
-    if card.sha256 is not None:
-        return card.sha256, None
-    return _recorded_hash_and_size(path)
-
-
-def _recorded_hash_and_size(path: Path) -> tuple[str | None, int | None]:
-    """Return (sha256, size in bytes) from the file's `sidecar`; None for what it does not have."""
-    record = _read_sidecar(path)
-    digest, size = record.get("sha256"), record.get("bytes")
-    return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None
 
 
 def sidecar(path: Path) -> Path:

@@ -63,7 +63,6 @@ class EngineOptions:
         shapes: least, usual and largest shape of every input whose shape may change, by its name.
         cache: folder for engines; None: `engines` in the service's cache.
         progress: called during a build.
-        sha256: expected hash of the file; None: its hash at the last check.
         section: section of the configuration that names the model, for messages.
     """
 
@@ -72,7 +71,6 @@ class EngineOptions:
     shapes: Mapping[str, tuple[Shape, Shape, Shape]] = field(default_factory=dict)
     cache: Path | None = None
     progress: ProgressCallback = log_progress
-    sha256: str | None = None
     section: str = DETECTOR
 
     @property
@@ -106,7 +104,7 @@ def cached_engine(
     Raises:
         ModelError: there is no GPU, the file is damaged, or the cache cannot be used.
     """
-    sha256 = options.sha256 or remembered_sha256(path)
+    sha256 = remembered_sha256(path)
     gpu, capability = gpu_of(device_id, options.section)
     key = {
         "model": options.model,

@@ -147,20 +147,6 @@ def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
     check_format(path, model._replace(external=uncovered))
 
 
-def check_fixed(path: Path, key: str) -> None:
-    """Check that every input of a network has a fixed shape, as TensorRT's engines need.
-
-    Raises:
-        ModelError: an input has a free size.
-    """
-    for value in _read(path).inputs:
-        if value.shape is None or None in value.shape:
-            raise ModelError(
-                f"{path}: the input {value.name!r:.60} has no fixed shape, which TensorRT needs: "
-                f"name CUDAExecutionProvider or CPUExecutionProvider in {key}"
-            )
-
-
 def _read(path: Path) -> OnnxFile:
     """Read the declarations of a model; raise ModelError with what to do."""
     try:

@@ -120,7 +120,7 @@ class DetectorSimilarity:
         self._detector.close()
 
 
-def best_scores(detections: Detections) -> np.ndarray:
+def max_score_per_prompt(detections: Detections) -> np.ndarray:
     """Return the best score of each prompt in existing detections; 0 if it is below `tau_vl`.
 
     Returns:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from edge.perception.scoring.choice.picture import place_discs
+from edge.perception.scoring.choice.picture import place_discs, scaled_copy
 from edge.tasks.scene.scene import Scene
 
 SHOWN_PX = 960
@@ -28,16 +28,8 @@ def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
     """
     if scene.rgb is None:
         return None
-    height, width = scene.rgb.shape[:2]
-    longer = max(height, width)
-    scale = min(max(1.0, SHOWN_PX / longer), longest_px / longer)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-    image = (
-        scene.rgb.copy()
-        if scale == 1.0
-        else cv2.resize(scene.rgb, size, interpolation=interpolation)
-    )
+    image, scale = scaled_copy(scene.rgb, SHOWN_PX, longest_px)
+    size = image.shape[1], image.shape[0]
     lines = {
         i: [np.rint(line * scale).astype(np.int32) for line in outlines]
         for i, outlines in scene.contours.items()

@@ -7,9 +7,8 @@ network of this size learns to use numbers sooner than to read letters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from edge.config import ChoiceOnnx
@@ -19,8 +18,10 @@ from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS, Marks
 from edge.perception.runtime.cards import load_card_of, verify_model
 from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
 from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.letterbox import Fit, letterboxed
 from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import open_onnxruntime_session
+from edge.perception.scoring.choice.process import ProcessMarks
 from edge.perception.scoring.choice.question import (
     MAX_MARKS,
     FrontierChoice,
@@ -32,18 +33,6 @@ from edge.perception.scoring.choice.question import (
 
 FAR_M = 20.0
 """Largest path length that the network gets; longer paths and unreachable marks get this value."""
-
-
-class MarkModel(Protocol):
-    """A mark network in this process (`MarkNetwork`) or in its own (`ProcessMarks`)."""
-
-    name: str
-
-    def ask(
-        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
-    ) -> list[np.ndarray]: ...
-
-    def close(self) -> None: ...
 
 
 class MarkNetwork:
@@ -162,7 +151,9 @@ class MarkScorer:
         name: name of the network's card.
     """
 
-    def __init__(self, card: MarksCard, network: MarkModel, limit_s: float) -> None:
+    def __init__(
+        self, card: MarksCard, network: MarkNetwork | ProcessMarks, limit_s: float
+    ) -> None:
         self.name, self._card = card.name, card
         self._network, self._limit_s = network, limit_s
 
@@ -181,10 +172,11 @@ class MarkScorer:
             )
             raise ModelError(f"model {self.name}: cannot choose a direction: {why}")
         hw = (self._card.input.height, self._card.input.width)
-        image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
+        preprocess = self._card.preprocess
+        image, fit = letterboxed(rgb, hw, preprocess.letterbox_pad, preprocess.letterbox_at)
         if image is rgb:  # the observation's array is not kept
             image = rgb.copy()
-        rows = as_input(view.marks[:MAX_MARKS], view.mark_costs, scale, top, left, hw)
+        rows = as_input(view.marks[:MAX_MARKS], view.mark_costs, fit, hw)
         return MarkInput(view, image, rows, view.mark_costs.others)
 
     def answer(self, prepared: MarkInput) -> FrontierChoice | None:
@@ -205,50 +197,20 @@ class MarkScorer:
         self._network.close()
 
 
-def letterboxed(
-    rgb: np.ndarray, hw: tuple[int, int], pad: int
-) -> tuple[np.ndarray, float, int, int]:
-    """Scale an image to fit into (h, w), and centre it on a uniform background.
-
-    Args:
-        rgb: (height, width, 3) uint8.
-        hw: height and width of the result in pixels.
-        pad: grey level of the background, 0 to 255.
-
-    Returns:
-        (h, w, 3) uint8 image, scale factor, top row, left column.
-    """
-    (height, width), (h, w) = rgb.shape[:2], hw
-    scale = min(w / width, h / height)
-    inner = max(1, round(width * scale)), max(1, round(height * scale))
-    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-    image = rgb if scale == 1.0 else cv2.resize(rgb, inner, interpolation=how)
-    top, left = (h - inner[1]) // 2, (w - inner[0]) // 2
-    if (h, w) != image.shape[:2]:
-        bottom, right = h - inner[1] - top, w - inner[0] - left
-        border = (cv2.BORDER_CONSTANT, None, (pad, pad, pad))
-        image = cv2.copyMakeBorder(image, top, bottom, left, right, *border)
-    return image, scale, top, left
-
-
-def as_input(
-    marks: Sequence[Mark], costs: MarkCosts, scale: float, top: int, left: int, hw: tuple[int, int]
-) -> np.ndarray:
+def as_input(marks: Sequence[Mark], costs: MarkCosts, fit: Fit, hw: tuple[int, int]) -> np.ndarray:
     """Return the marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`.
 
     Args:
         marks: n marks.
         costs: paths and gains of at least these marks.
-        scale: scale factor of the letterboxed image; see `letterboxed`.
-        top: top row of the image in the letterbox.
-        left: left column of the image in the letterbox.
+        fit: place of the image in the letterbox.
         hw: height and width of the letterbox in pixels.
     """
     out = np.zeros((len(marks), MARK_FIELDS), np.float32)
     path_m = np.minimum(costs.path_m, FAR_M)
     for row, mark, path, gain in zip(out, marks, path_m, costs.gain_m2, strict=False):
-        u = ((mark.u_px + 0.5) * scale + left) / hw[1]
-        v = ((mark.v_px + 0.5) * scale + top) / hw[0]
+        u = ((mark.u_px + 0.5) * fit.scale + fit.left) / hw[1]
+        v = ((mark.v_px + 0.5) * fit.scale + fit.top) / hw[0]
         row[:] = u, v, mark.bearing_rad, mark.distance_m, path, gain, 1.0
     return out
 

@@ -90,6 +90,16 @@ def _in_camera(
     return x, y, z
 
 
+def scaled_copy(rgb: np.ndarray, least_px: int, max_px: int) -> tuple[np.ndarray, float]:
+    """Return a copy of an image whose longer side has `least_px` to `max_px`, and its scale."""
+    height, width = rgb.shape[:2]
+    longer = max(width, height)
+    scale = min(max(1.0, least_px / longer), max_px / longer)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR  # to shrink, or to enlarge
+    return (rgb.copy() if scale == 1.0 else cv2.resize(rgb, size, interpolation=how)), scale
+
+
 def draw(
     rgb: np.ndarray, marks: Sequence[Mark], max_px: int
 ) -> tuple[np.ndarray, tuple[Mark, ...]]:
@@ -106,11 +116,8 @@ def draw(
         The copy, and the marks with the letters A, B, … in this order. These are at most
         `MAX_MARKS`, without marks for which there was no room.
     """
-    height, width = rgb.shape[:2]
-    scale = min(max(1.0, ENLARGED_PX / max(width, height)), max_px / max(width, height))
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR  # to shrink, or to enlarge
-    image = rgb.copy() if scale == 1.0 else cv2.resize(rgb, size, interpolation=how)
+    image, scale = scaled_copy(rgb, ENLARGED_PX, max_px)
+    size = image.shape[1], image.shape[0]
     radius = max(_MIN_RADIUS_PX, round(_RADIUS_SHARE * max(size)))
     spots = [((m.u_px + 0.5) * scale - 0.5, (m.v_px + 0.5) * scale - 0.5) for m in marks]
     centers = place_discs(spots[:MAX_MARKS], size, radius)

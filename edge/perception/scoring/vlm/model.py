@@ -17,7 +17,6 @@ from edge.perception.runtime.cards import verify_parts
 from edge.perception.runtime.deadline import FIRST_RUN_S, InferenceTimeout
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.model_file import ModelError
-from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.runtime.sessions import DTYPES, TENSORRT_PROVIDERS, open_session
 from edge.perception.scoring.vlm.answers import (
     MultipleChoice,
@@ -29,7 +28,6 @@ from edge.perception.scoring.vlm.files import common_prefix, read_files, vocabul
 from edge.perception.scoring.vlm.pictures import make_prepare, positions
 from edge.perception.scoring.vlm.prompt import Prompter
 
-PROVIDERS_KEY = "perception.choice.providers"
 _BLANK_PX = 64  # side of the image for the first run
 
 
@@ -56,13 +54,16 @@ class LanguageModel:
         threads: int = 2,
         device_id: int = 0,
     ) -> None:
+        if TENSORRT_PROVIDERS.intersection(providers):
+            raise ModelError(
+                f"model {card.name}: has inputs without a fixed shape, which TensorRT needs: name "
+                "CUDAExecutionProvider or CPUExecutionProvider in perception.choice.providers"
+            )
         verify_parts(card, believe_cache=True)
         files = read_files(card)
 
         def open_part(part: Any) -> Any:
             path = card.path_of(part)
-            if TENSORRT_PROVIDERS.intersection(providers):
-                check_fixed(path, PROVIDERS_KEY)
             engine = EngineOptions(path.stem, "fp32", section="perception.choice")
             return open_session(path, providers, threads, device_id, engine)
 
