@@ -16,6 +16,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import nullcontext
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 from simulated import simulated
@@ -305,6 +306,25 @@ def test_the_demos_page_is_at_one_port_and_stays(
         )
     else:
         assert port == (usual if served_at == "the usual port" else served_at)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), [([], None), (["--live"], 7999), (["--live", "7998"], 7998)]
+)
+def test_a_recording_is_shown_only_on_request_and_at_the_configured_port(
+    words, expected, tmp_path, monkeypatch
+):
+    served = []
+
+    def serve(config, *_):
+        served.append(config.http.port)
+        raise Stopped
+
+    monkeypatch.setattr(run_commands, "_serve", serve)
+    monkeypatch.setattr(run_commands, "Playback", lambda *_: nullcontext(MagicMock()))
+    monkeypatch.setenv("EDGE__HTTP__PORT", "7999")
+    main(["play", str(tmp_path / "robot.mcap"), "demo", *words])
+    assert served == [expected]
 
 
 @pytest.mark.parametrize(
