@@ -309,6 +309,21 @@ def test_the_demos_page_is_at_one_port_and_stays(
 
 
 @pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        (["list", "tcp/10.0.0.1:7447#root_ca_private_key_base64=c2VjcmV0"], "zenoh.endpoint"),
+        (["router", "tcp/10.0.0.1:7447#root_ca_private_key_base64=c2VjcmV0"], "zenoh.endpoint"),
+        (["router", "--file", ""], "zenoh.file"),
+    ],
+)
+def test_a_wrong_router_is_an_error_of_one_line_without_its_secrets(words, key, capsys):
+    assert main(["fleet", *words]) == os.EX_CONFIG
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"command line: {key}: ")
+    assert "c2VjcmV0" not in line
+
+
+@pytest.mark.parametrize(
     ("words", "expected"), [([], None), (["--live"], 7999), (["--live", "7998"], 7998)]
 )
 def test_a_recording_is_shown_only_on_request_and_at_the_configured_port(
