@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from edge.cli.findings import Finding, Level, fail, finding_of, ok, warn
 from edge.cli.machine_checks import is_installed
-from edge.cli.onnx_probe import CPU, probe
+from edge.cli.onnx_probe import CPU, CUDA, crashes, fault_of
 from edge.cli.preflight import named_models
 from edge.config import Config
 from edge.errors import UserError
@@ -18,6 +20,8 @@ from edge.perception.runtime.card_types import ChoiceCard, FileCard
 from edge.perception.runtime.sessions import TENSORRT
 from edge.text import redact
 
+DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
+"""Packages that contain onnxruntime."""
 SERVER_S = 2.0
 """Time for the connection to a server."""
 
@@ -28,42 +32,35 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
     wanted = detector.providers if detector.kind == "onnx" else ()
     needed = any(name != TENSORRT for name in wanted)
     level_if_missing: Level = "fail" if needed else "warn"
-    if is_installed("onnxruntime") and is_installed("onnxruntime-gpu"):
+    if all(map(is_installed, DISTRIBUTIONS)):
         todo = "pip uninstall onnxruntime onnxruntime-gpu, then install only one of them"
         yield warn("onnxruntime and onnxruntime-gpu are both installed", todo)
-    probed = probe()
-    if probed is None:
+    if find_spec("onnxruntime") is None:
         what = "onnxruntime is not installed, so no neural detector can run"
         yield Finding(level_if_missing, what, "pip install 'edge-vln[cpu]' (or [gpu])")
         return
-    what = f"onnxruntime {probed.version}".strip()
-    if not probed.fault:
-        names = ", ".join(name.removesuffix("ExecutionProvider") for name in probed.providers)
-        yield ok(f"{what} runs a model; execution providers: {names}")
-    elif CPU in probed.ran:  # so the fault is in another provider
-        todo = "check the GPU driver and CUDA, or use CPUExecutionProvider"
-        yield warn(f"{what} {probed.fault}", todo)
-    else:
+    versions = (metadata.version(name) for name in DISTRIBUTIONS if is_installed(name))
+    what = f"onnxruntime {next(versions, '')}".strip()
+    if fault := fault_of(CPU):
         todo = (
             "another version may work (pip install 'onnxruntime==1.20.1'), and on arm64 all cores "
             "must be on (Jetson: sudo nvpmodel -m 0; not under qemu): docs/install.md"
         )
-        yield Finding(level_if_missing, f"{what} {probed.fault}", todo)
+        yield Finding(level_if_missing, f"{what}: {fault}", todo)
         return
+    import onnxruntime
+
+    available = onnxruntime.get_available_providers()
+    names = ", ".join(name.removesuffix("ExecutionProvider") for name in available)
+    yield ok(f"{what} runs a model; execution providers: {names}")
+    if CUDA in available and (fault := fault_of(CUDA)):
+        todo = f"check the GPU driver and CUDA, or use {CPU}"
+        yield warn(f"{what} fails on {CUDA}: {fault}", todo)
     key = "perception.detector.providers"
     for name in wanted:
-        if name != TENSORRT and name not in probed.providers:
+        if name != TENSORRT and name not in available:
             todo = f"install an onnxruntime with this provider, or change {key}"
             yield fail(f"{key}: {name} is not in the installed onnxruntime", todo)
-
-
-def _sessions_crash() -> bool:
-    """Return True if onnxruntime is installed but fails, as `check_onnxruntime` reports.
-
-    Then no check may open a session in this process.
-    """
-    probed = probe()
-    return probed is not None and CPU not in probed.ran
 
 
 def check_tensorrt(config: Config) -> Iterator[Finding]:
@@ -147,7 +144,7 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
     from edge.perception.runtime.cards import load_detector_card
 
     detector = config.perception.detector
-    if detector.kind == "onnx" and _sessions_crash():
+    if detector.kind == "onnx" and crashes():
         return
     encoder: TextEncoder
     try:
@@ -176,7 +173,7 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     from edge.loop.scoring.scorers import make_scorers
 
     uses_onnx = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
-    if uses_onnx and _sessions_crash():
+    if uses_onnx and crashes():
         return
     try:
         scorers = make_scorers(config, _targets(config))
