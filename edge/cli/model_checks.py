@@ -78,7 +78,10 @@ def check_tensorrt(config: Config) -> Iterator[Finding]:
 
 
 def check_models(config: Config) -> Iterator[Finding]:
-    """Check the files of all models that are here or that the configuration names."""
+    """Check the files of all models that are here.
+
+    A model that the configuration names and that is not here is reported by `check_configuration`.
+    """
     from edge.perception.runtime.cards import ModelError, card_names, check_installed, load_card
 
     needed = {model.name for model in named_models(config)}
@@ -89,13 +92,16 @@ def check_models(config: Config) -> Iterator[Finding]:
     for name in names:
         try:
             card = load_card(name)
+        except ModelError as error:
+            if name not in needed:
+                yield finding_of(error, "warn")
+            continue
+        try:
             served = [file.server for file in card.files if file.server is not None]
             try:
                 check_installed(card)
             except ModelError:
-                if name in needed:
-                    raise
-                n_absent += 1
+                n_absent += name not in needed
                 continue
             paths = [_verify(file) for file in card.files if file.server is None]
         except ModelError as error:
@@ -127,64 +133,30 @@ def _server_finding(name: str, url: str) -> Finding:
     return warn(f"model {name}: no server listens at {shown}", todo)
 
 
-def _targets(config: Config) -> tuple[str, ...]:
-    """Return the targets of the mission; of a refused mission only `mission.target`."""
-    from edge.tasks.mission_spec import prepare_mission
-
-    try:
-        return prepare_mission(config).prompts
-    except UserError:
-        return (config.mission.target,)
-
-
-def check_vocabulary(config: Config) -> Iterator[Finding]:
-    """Check that the detector's text encoder knows the targets and the background words."""
+def check_background(config: Config) -> Iterator[Finding]:
+    """Check that the detector's text encoder knows the background words."""
     from edge.perception.embedding.encoders import make_text_encoder
-    from edge.perception.embedding.text import TextEmbeddings, TextEncoder, words_for
+    from edge.perception.embedding.text import words_for
     from edge.perception.runtime.cards import load_detector_card
 
     detector = config.perception.detector
-    if detector.kind == "onnx" and crashes():
-        return
-    encoder: TextEncoder
-    try:
-        if detector.kind == "onnx":
-            encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
-            encoder.embed(_targets(config))
-        else:
-            encoder = TextEmbeddings(None)
-    except UserError as error:
-        yield finding_of(error, "fail" if detector.kind == "onnx" else "warn")
-    else:
-        yield ok(f"text embeddings: {encoder!r}")
-        if detector.kind == "onnx":
-            known = words_for(detector.background, encoder.resolve)
-            unknown = [word for word in detector.background if word not in known]
-            if unknown:
-                what = (
-                    f"model {detector.model} does not know {len(unknown)} of the "
-                    f"{len(detector.background)} words of perception.detector.background"
-                )
-                yield warn(what, f"remove or replace these words: {', '.join(unknown)}")
-
-
-def check_scorers(config: Config) -> Iterator[Finding]:
-    """Check that the configured scorers can be made, and that their server listens."""
-    from edge.loop.scoring.scorers import make_scorers
-
-    uses_onnx = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
-    if uses_onnx and crashes():
+    if detector.kind != "onnx" or crashes():
         return
     try:
-        scorers = make_scorers(config, _targets(config))
-    except UserError as error:
-        yield finding_of(error)
+        encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
+    except UserError:  # as the check of the configuration reports
         return
-    if scorers is None:
-        return
-    names = scorers.names()
-    scorers.close()
-    yield ok(f"scorers: {', '.join(names)}")
+    known = words_for(detector.background, encoder.resolve)
+    if unknown := [word for word in detector.background if word not in known]:
+        what = (
+            f"model {detector.model} does not know {len(unknown)} of the "
+            f"{len(detector.background)} words of perception.detector.background"
+        )
+        yield warn(what, f"remove or replace these words: {', '.join(unknown)}")
+
+
+def check_choice_server(config: Config) -> Iterator[Finding]:
+    """Check that the server of the choice among frontiers listens."""
     choice = config.perception.choice
     if choice.kind in ("openai", "text") and not _listens(choice.url):
         todo = "start the server, or correct the URL; until then no model chooses among frontiers"
@@ -194,9 +166,9 @@ def check_scorers(config: Config) -> Iterator[Finding]:
 def _listens(url: str) -> bool:
     """Return True if a TCP connection to the server of a URL can be opened."""
     parts = urlsplit(url)
-    port = parts.port or {"http": 80, "https": 443}[parts.scheme]
     try:
+        port = parts.port or {"http": 80, "https": 443}[parts.scheme]
         socket.create_connection((parts.hostname, port), SERVER_S).close()
-    except (OSError, UnicodeError):  # UnicodeError: an invalid label in the host name
+    except (OSError, KeyError, ValueError):  # the last two: an invalid URL
         return False
     return True

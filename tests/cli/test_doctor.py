@@ -284,7 +284,7 @@ def test_a_crashing_onnxruntime_is_reported_in_one_line(monkeypatch):
     fault = "its process: ended by SIGSEGV before it was ready"
     monkeypatch.setattr(onnx_probe, "fault_of", lambda _: fault)
     monkeypatch.setattr(model_checks, "fault_of", lambda _: fault)
-    crashing = ("check_onnxruntime", "check_vocabulary", "check_scorers")
+    crashing = ("check_onnxruntime", "check_configuration", "check_background")
     checks = [check for check in doctor.CHECKS if check.__name__ in crashing]
     monkeypatch.setattr(doctor, "CHECKS", checks)
     uses_it_twice = simulated(
@@ -310,14 +310,6 @@ def test_tensorrt(monkeypatch):
     assert levels(model_checks.check_tensorrt, TENSORRT) == ["ok"]
 
 
-def test_only_the_configured_model_must_be_there(monkeypatch, tmp_path):
-    monkeypatch.setattr(resources, "data_dir", lambda _: tmp_path)
-    assert levels(model_checks.check_models) == ["warn"]
-    (finding,) = model_checks.check_models(ONNX)
-    assert finding.level == "fail"
-    assert "made-up" in finding.what
-
-
 def test_absent_unused_models_are_only_counted(cache):
     """Models of the package are present; a similarity card has no file."""
     *here, others = model_checks.check_models(SIM)
@@ -332,69 +324,47 @@ def test_absent_unused_models_are_only_counted(cache):
 
 
 @pytest.mark.parametrize(
-    "named",
-    [
-        {"detector": {"kind": "onnx", "model": "yolo-world-s-256x320-fp32"}},
-        {
-            "detector": {"kind": "onnx", "model": "mini-house-256x320-int8-cpu"},
-            "load_shedding": {"levels": [{"model": "yolo-world-s-256x320-fp32"}]},
-        },
-        {"choice": {"kind": "onnx", "card": "smollm2-135m-q4"}},
-    ],
-)
-def test_a_model_that_the_configuration_names_must_be_here(named):
-    (finding,) = (
-        f for f in model_checks.check_models(simulated({"perception": named})) if f.level != "ok"
-    )
-    assert finding.level == "fail"
-    assert "edge models" in finding.todo
-
-
-@pytest.mark.parametrize(
     ("sections", "says"),
     [
-        ({"sinks": ["zenoh"]}, None),
-        ({"sinks": ["zenho"]}, "sinks.0.kind: unknown 'zenho'"),
-        ({"policy": {"kind": "no.such:Policy"}}, "policy.kind: 'no.such:Policy'"),
+        ({}, []),
+        ({"sinks": ["zenho"]}, ["sinks.0.kind: unknown 'zenho'"]),
+        (
+            {"mission": {"target": "bed", "translator": {"kind": "model", "card": "nonsense"}}},
+            ["mission.translator.card: model 'nonsense'"],
+        ),
+        (
+            {"perception": {"detector": {"kind": "onnx", "model": "made-up"}}},
+            ["perception.detector.model: model 'made-up'"],
+        ),
+        (
+            {"sinks": ["zenho"], "perception": {"similarity": "made-up"}},
+            ["sinks.0.kind", "perception.similarity: model 'made-up'"],
+        ),
     ],
 )
-def test_classes_that_the_configuration_names(sections, says):
-    findings = list(doctor.check_classes(simulated(sections)))
-    assert [f.level for f in findings] == ([] if says is None else ["fail"])
-    assert all(says in f.what and f.todo for f in findings)
+def test_the_configuration_is_checked_as_for_a_run(sections, says):
+    """Each fault is one finding."""
+    checks = (doctor.check_configuration, model_checks.check_models)
+    found = [f for check in checks for f in check(simulated(sections)) if f.level != "ok"]
+    assert [f.level for f in found] == ["fail"] * len(says)
+    assert all(words in f.what and f.todo for words, f in zip(says, found, strict=True))
 
 
 def test_vocabulary(monkeypatch, tmp_path):
-    assert levels(model_checks.check_vocabulary) == ["warn"]
-    assert levels(model_checks.check_vocabulary, ONNX) == ["fail"]
     path = tmp_path / "words.npz"
     np.savez(path, names=np.array(["chair"]), emb=np.ones((1, 512), np.float16))
     monkeypatch.setenv("EDGE_VOCABULARY", str(path))
     detector = {"kind": "onnx", "model": "yolo-world-s-256x320-int8-cpu"}
     for target, level in (("chair", "ok"), ("zebra crossing", "fail")):
         settings = simulated({"perception": {"detector": detector}, "mission": {"target": target}})
-        assert levels(model_checks.check_vocabulary, settings) == [level]
+        assert levels(doctor.check_mission, settings) == [level]
+        assert levels(model_checks.check_background, settings) == []
     detector["background"] = ["zebra", "chair", "heron"]
     settings = simulated({"perception": {"detector": detector}, "mission": {"target": "chair"}})
-    ok, unknown = model_checks.check_vocabulary(settings)
-    assert (ok.level, unknown.level) == ("ok", "warn")
+    (unknown,) = model_checks.check_background(settings)
+    assert unknown.level == "warn"
     assert "does not know 2 of the 3 words of perception.detector.background" in unknown.what
     assert "zebra, heron" in unknown.todo
-
-
-@pytest.mark.parametrize(
-    ("perception", "expected", "words"),
-    [
-        ({}, [], ""),
-        ({"similarity": "made-up"}, ["fail"], "perception.similarity: model 'made-up': no such"),
-        ({"similarity": "yolo-world-s-256x320-int8-cpu"}, ["fail"], "not 'similarity'"),
-        ({"choice": {"kind": "text", "url": "nowhere", "model": "m"}}, ["fail"], "URL of a chat"),
-    ],
-)
-def test_scorers(perception, expected, words):
-    findings = list(model_checks.check_scorers(simulated({"perception": perception})))
-    assert [finding.level for finding in findings] == expected
-    assert all(words in finding.what and finding.what.isprintable() for finding in findings)
 
 
 def test_the_server_of_a_choice_scorer_is_checked():
@@ -403,10 +373,9 @@ def test_the_server_of_a_choice_scorer_is_checked():
         settings = simulated(
             {"perception": {"choice": {"kind": "openai", "url": url, "model": "m"}}}
         )
-        assert levels(model_checks.check_scorers, settings) == ["ok"]
-    found = list(model_checks.check_scorers(settings))
-    assert [finding.level for finding in found] == ["ok", "warn"]
-    assert url in found[1].what
+        assert levels(model_checks.check_choice_server, settings) == []
+    (finding,) = model_checks.check_choice_server(settings)
+    assert (finding.level, url in finding.what) == ("warn", True)
 
 
 @pytest.mark.parametrize(
@@ -424,13 +393,3 @@ def test_the_mission_is_checked(mission, level, words):
     assert finding.level == level
     assert words in finding.what
     assert finding.todo or level == "ok"
-
-
-@pytest.mark.parametrize(("kind", "level"), [("rules", "warn"), ("model", "fail")])
-def test_a_missing_interpreter_fails_only_for_a_model_planner(monkeypatch, kind, level):
-    (found,) = doctor.check_tasks(SIM)
-    assert (found.level, "pydantic-monty" in found.what) == ("ok", True)
-    monkeypatch.setitem(sys.modules, "pydantic_monty", None)
-    (lack,) = doctor.check_tasks(simulated({"tasks": {"planner": {"kind": kind}}}))
-    assert lack.level == level
-    assert "pip install 'edge-vln[tasks]'" in lack.todo
