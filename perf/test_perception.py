@@ -27,6 +27,8 @@ SHARED_VOCABULARY = (
     Path(__file__).resolve().parents[2] / "shared" / "models" / "clip_vitb32_vocab.npz"
 )
 BACKGROUND = ("window", "door", "picture frame", "cabinet", "curtain", "person")
+WORLD = {"model": "yolo-world-s-256x320-int8-cpu", "background": BACKGROUND}
+OURS = {"model": "mini-house-256x320-int8-cpu"}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -64,14 +66,34 @@ def boxes_in(observation, n, seed=1, prompts=("chair", "sofa", "bed", "desk")):
     return Detections(observation, xyxy, score, class_id, prompts)
 
 
-@pytest.fixture
-def detector():
+def open_detector(model, **perception):
+    """Return a detector of a model that is installed; else skip the benchmark."""
     vocabulary = str(SHARED_VOCABULARY) if SHARED_VOCABULARY.exists() else None
-    chosen = config.DetectorOnnx(vocabulary=vocabulary, background=BACKGROUND)
+    chosen = config.DetectorOnnx(vocabulary=vocabulary, **model)
     try:
-        return make_detector(config.PerceptionConfig(detector=chosen), ["chair"])
+        return make_detector(config.PerceptionConfig(detector=chosen, **perception), ["chair"])
     except (ModelError, PromptError) as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def detector():
+    return open_detector(WORLD)
+
+
+@pytest.mark.benchmark(timer=time.perf_counter)
+@pytest.mark.parametrize("isolation", ["thread", "process"])
+@pytest.mark.parametrize("model", [WORLD, OURS], ids=["yolo-world", "mini-house"])
+def test_detect_in_a_process(benchmark, isolation, model):
+    """Compare a detection in a process of its own, on two threads, with one in a thread."""
+    name = model["model"].partition("-256")[0]
+    benchmark.extra_info["budget"] = f"detect_in_{isolation}_{name}"
+    rules = config.ModelProcessConfig(timeout_s=60.0)
+    detector = open_detector(model, isolation=isolation, process=rules)
+    rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
+    observation = Observation(0, 0, np.eye(4), rgb=rgb)
+    benchmark.pedantic(detector.detect, (observation,), rounds=200, warmup_rounds=10)
+    detector.close()
 
 
 @pytest.mark.benchmark(timer=time.perf_counter)
