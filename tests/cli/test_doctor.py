@@ -229,7 +229,7 @@ def test_the_doctor_warns_of_open_endpoints_and_readable_passwords(tmp_path):
 
 
 def test_rules_for_another_prefix_give_a_warning():
-    rules = str(resources.data_dir("config") / "secure" / "password-service.json5")
+    rules = str(resources.data_dir("config") / "secure" / "service.json5")
     for prefix, expected in {"edge": [], "robots/a": ["warn"]}.items():
         settings = simulated({"zenoh": {"file": rules, "prefix": prefix}})
         assert levels(bus_checks.check_access, settings) == expected
