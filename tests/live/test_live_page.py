@@ -413,7 +413,7 @@ def test_an_error_is_shown_differently_from_no_answer(page, monkeypatch):
         raise ValueError("<b>broken</b>")
 
     for part, function, phase in (
-        ("story", "log_json", "SEARCHING"),
+        ("mission", "log_json", "SEARCHING"),
         ("now", "snapshot_json", "ERROR"),
     ):
         with monkeypatch.context() as breaking:
