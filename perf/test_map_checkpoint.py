@@ -56,7 +56,7 @@ def file_of(cells: int) -> bytes:
 @pytest.mark.parametrize("cells", [1000, 4000])
 def test_copy_of_changed_tiles(benchmark, cells):
     """Measure the copy of the changed tiles, which one tick makes every three seconds."""
-    benchmark.extra_info["budget"] = f"places_copy_{cells}"
+    benchmark.extra_info["budget"] = f"map_copy_{cells}"
     grid, c = explored_map(cells), settings(cells)
     parts, update, copier = parts_of(grid, c), update_all_round(grid), TileCopier()
     update()
@@ -75,8 +75,8 @@ def test_copy_of_changed_tiles(benchmark, cells):
 
 @pytest.mark.parametrize("cells", [1000, 4000])
 def test_restoring(benchmark, cells):
-    """Measure the way from the file's bytes to a map with frontiers, before the first tick."""
-    benchmark.extra_info["budget"] = f"places_restore_{cells}"
+    """Measure the time from the file's bytes to a map with frontiers, before the first tick."""
+    benchmark.extra_info["budget"] = f"map_restore_{cells}"
     content, c = file_of(cells), settings(cells)
 
     def restore() -> mapping.RollingMap:
@@ -88,13 +88,13 @@ def test_restoring(benchmark, cells):
     assert grid.known_m2 > 0.9 * (cells * MAPPING.resolution_m) ** 2
 
 
-@pytest.mark.parametrize("keeps", [False, True])
-def test_tick(benchmark, tmp_path, keeps):
+@pytest.mark.parametrize("saves", [False, True])
+def test_tick(benchmark, tmp_path, saves):
     """Measure a tick with a checkpoint, and one without, on the same drive."""
-    benchmark.extra_info["budget"] = "tick_keeping" if keeps else "tick_not_keeping"
+    benchmark.extra_info["budget"] = "tick_with_checkpoint" if saves else "tick_without_checkpoint"
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.05}}
     loop = ClosedLoop(parse({**SETTINGS, **lockstep, "mission": {"target": "toilet"}}))
-    if keeps:
+    if saves:
         checkpoint = ServiceCheckpoint(loop.config, tmp_path / "mission.json", None)
         loop.service.checkpoint = checkpoint
 
@@ -103,7 +103,7 @@ def test_tick(benchmark, tmp_path, keeps):
         return (loop.observe(), loop.drive.motion.stamp_ns), {}
 
     benchmark.pedantic(loop.service.tick, setup=drive, rounds=300, warmup_rounds=20)
-    if keeps:
+    if saves:
         checkpoint.close()
         assert checkpoint.map.writer.written > 3
     assert np.isfinite(loop.service.perception.scores).all()

@@ -133,8 +133,8 @@ def test_unknown_ratio_of_200_candidates(benchmark):
     assert np.ptp(out) > 0
 
 
-def test_reach_step_in_the_open(benchmark):
-    benchmark.extra_info["budget"] = "reach_step"
+def test_travel_cost_step_in_the_open(benchmark):
+    benchmark.extra_info["budget"] = "travel_cost_step"
     m = explored_map(1000)
     benchmark.pedantic(m.travel_cost.step, args=(SE2(0.0, 0.0, 0.0),), rounds=500, warmup_rounds=20)
     assert m.travel_cost.generation > 0
@@ -142,7 +142,7 @@ def test_reach_step_in_the_open(benchmark):
 
 def test_marking_a_searched_image(benchmark):
     """Benchmark: cost that each searched image adds to a tick."""
-    benchmark.extra_info["budget"] = "coverage_look"
+    benchmark.extra_info["budget"] = "coverage_image"
     m = explored_map(1000)
     views = itertools.cycle(
         Observation(0, 0, pose.matrix(), camera=CAMERA, T_base_camera=T_BASE_CAMERA)

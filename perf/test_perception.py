@@ -27,6 +27,8 @@ SHARED_VOCABULARY = (
     Path(__file__).resolve().parents[2] / "shared" / "models" / "clip_vitb32_vocab.npz"
 )
 BACKGROUND = ("window", "door", "picture frame", "cabinet", "curtain", "person")
+WORLD = {"model": "yolo-world-s-256x320-int8-cpu", "background": BACKGROUND}
+OURS = {"model": "mini-house-256x320-int8-cpu"}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -64,14 +66,34 @@ def boxes_in(observation, n, seed=1, prompts=("chair", "sofa", "bed", "desk")):
     return Detections(observation, xyxy, score, class_id, prompts)
 
 
-@pytest.fixture
-def detector():
+def open_detector(model, **perception):
+    """Return a detector of a model that is installed; else skip the benchmark."""
     vocabulary = str(SHARED_VOCABULARY) if SHARED_VOCABULARY.exists() else None
-    chosen = config.DetectorOnnx(vocabulary=vocabulary, background=BACKGROUND)
+    chosen = config.DetectorOnnx(vocabulary=vocabulary, **model)
     try:
-        return make_detector(config.PerceptionConfig(detector=chosen), ["chair"])
+        return make_detector(config.PerceptionConfig(detector=chosen, **perception), ["chair"])
     except (ModelError, PromptError) as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def detector():
+    return open_detector(WORLD)
+
+
+@pytest.mark.benchmark(timer=time.perf_counter)
+@pytest.mark.parametrize("isolation", ["thread", "process"])
+@pytest.mark.parametrize("model", [WORLD, OURS], ids=["yolo-world", "mini-house"])
+def test_detect_in_a_process(benchmark, isolation, model):
+    """Compare a detection in a process of its own, on two threads, with one in a thread."""
+    name = model["model"].partition("-256")[0]
+    benchmark.extra_info["budget"] = f"detect_in_{isolation}_{name}"
+    rules = config.ModelProcessConfig(timeout_s=60.0)
+    detector = open_detector(model, isolation=isolation, process=rules)
+    rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
+    observation = Observation(0, 0, np.eye(4), rgb=rgb)
+    benchmark.pedantic(detector.detect, (observation,), rounds=200, warmup_rounds=10)
+    detector.close()
 
 
 @pytest.mark.benchmark(timer=time.perf_counter)
@@ -138,15 +160,15 @@ def test_grabcut(benchmark):
     assert out.mask.any()
 
 
-@pytest.mark.parametrize("way", ["depth", "cloud"])
-def test_lift(benchmark, way):
+@pytest.mark.parametrize("source", ["depth", "cloud"])
+def test_back_projection(benchmark, source):
     """Measure the back-projection of twenty boxes of a 640 × 480 image."""
-    benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
+    benchmark.extra_info["budget"] = f"back_project_20_boxes_{source}"
     observation = observe()
-    lifter = BackProjector(
-        config.PerceptionConfig(detector=config.DetectorSim(), back_projection=way)
+    projector = BackProjector(
+        config.PerceptionConfig(detector=config.DetectorSim(), back_projection=source)
     )
-    out, _ = benchmark(lifter.back_project, boxes_in(observation, 20))
+    out, _ = benchmark(projector.back_project, boxes_in(observation, 20))
     assert out.valid.any()
 
 
@@ -154,48 +176,48 @@ def test_track(benchmark):
     """Measure an update with eight boxes, and the check of all of some thirty known objects."""
     benchmark.extra_info["budget"] = "instances_update_8"
     perception = config.PerceptionConfig(detector=config.DetectorSim())
-    tracker, lifter = InstanceTracker(perception), BackProjector(perception)
+    tracker, projector = InstanceTracker(perception), BackProjector(perception)
     fusion = InstanceFusion(tracker)
     for seed in range(20):
-        fusion.update(lifter.back_project(boxes_in(observe(seed), 20, seed))[0], seed)
+        fusion.update(projector.back_project(boxes_in(observe(seed), 20, seed))[0], seed)
     observation = observe()
-    lifted, _ = lifter.back_project(boxes_in(observation, 8))
+    projected, _ = projector.back_project(boxes_in(observation, 8))
 
     def step():
-        fusion.update(lifted, 1_000_000_000)
-        fusion.expire(observation, lifted.detections.prompts)
+        fusion.update(projected, 1_000_000_000)
+        fusion.expire(observation, projected.detections.prompts)
 
     benchmark(step)
     assert len(tracker) > 10
 
 
-def test_sightings(benchmark):
+def test_objects(benchmark):
     """Measure an update with 8 target and 20 context boxes, among about 200 known objects."""
-    benchmark.extra_info["budget"] = "sightings_look_28"
+    benchmark.extra_info["budget"] = "objects_update_28"
     perception = config.PerceptionConfig(detector=config.DetectorSim())
-    objects, lifter = ObjectTracker(perception), BackProjector(perception)
+    objects, projector = ObjectTracker(perception), BackProjector(perception)
     for seed in range(20):
-        lifted, _ = lifter.back_project(boxes_in(observe(seed), 20, seed))
+        projected, _ = projector.back_project(boxes_in(observe(seed), 20, seed))
         objects.update(
-            lifted, lifter.back_project(boxes_in(observe(seed), 20, seed + 100, WORDS))[0]
+            projected, projector.back_project(boxes_in(observe(seed), 20, seed + 100, WORDS))[0]
         )
     observation = observe()
-    targets, _ = lifter.back_project(boxes_in(observation, 8))
-    around, _ = lifter.back_project(boxes_in(observation, 20, 2, WORDS))
+    targets, _ = projector.back_project(boxes_in(observation, 8))
+    around, _ = projector.back_project(boxes_in(observation, 20, 2, WORDS))
     benchmark(objects.update, targets, around)
     assert objects.read_only.n > 50
 
 
 def test_five_thousand_objects(benchmark, against):
     """Compare the same update among 5,000 known objects on 3,600 m² and among 400, as dense."""
-    benchmark.extra_info["budget"] = "sightings_look_5000"
-    observation, lifter = (
+    benchmark.extra_info["budget"] = "objects_update_5000"
+    observation, projector = (
         observe(),
         BackProjector(config.PerceptionConfig(detector=config.DetectorSim())),
     )
     boxes = (
-        lifter.back_project(boxes_in(observation, 8))[0],
-        lifter.back_project(boxes_in(observation, 20, 2, WORDS))[0],
+        projector.back_project(boxes_in(observation, 8))[0],
+        projector.back_project(boxes_in(observation, 20, 2, WORDS))[0],
     )
     few, many = (full_of(n) for n in (400, 5000))
     against(lambda: few.update(*boxes))

@@ -31,7 +31,9 @@ def view(k: int, step_m: float) -> Observation:
     return Observation(k, k * TICK_NS, pose, rgb, depth_m, CAMERA, T_BASE_CAMERA)
 
 
-@pytest.mark.parametrize(("budget", "step_m"), [("judge_standing", 0.0), ("judge_driving", 0.017)])
+@pytest.mark.parametrize(
+    ("budget", "step_m"), [("plausibility_standing", 0.0), ("plausibility_driving", 0.017)]
+)
 def test_judging_an_observation(benchmark, against, budget, step_m):
     benchmark.extra_info["budget"] = budget
     frames = [view(k, step_m) for k in range(30)]

@@ -49,7 +49,7 @@ def etc_edge(folder: Path) -> Path:
     """Make `/etc/edge` by the page's commands; return it and the page's user settings."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificates, and is not there")
-    page_commands(folder, "cp config/secure", "openssl req", "sed s/operator")
+    page_commands(folder, "cp config/secure", "openssl req", "sed s/operator", "sed -e")
     shutil.copy(folder / "client.json5", folder / "operator.json5")
     (folder / "users.txt").write_text("".join(f"{u}:{p}\n" for u, p in USERS.items()))
     text = (folder / "password-client.json5").read_text()

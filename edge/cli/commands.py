@@ -324,7 +324,9 @@ def run_play(
         UserError: see `run_service`; or the recording cannot be read, or gives no observation.
     """
     config = _config_for_recording(with_free_port(config), lockstep=rate is None)
-    if live is not None:
+    if live is None:
+        config = config.model_copy(update={"http": config.http.model_copy(update={"port": None})})
+    else:
         config = _with_live_view(config, live)
     _prepare(config, report)
     with Playback(file, config, rate, stop) as playback:
@@ -354,7 +356,6 @@ def _config_for_recording(config: Config, lockstep: bool) -> Config:
         "mission": config.mission.model_copy(update=mission),
         "loop": config.loop.model_copy(update={"lockstep": lockstep}),
         "source": config.source.model_copy(update={"kind": "zenoh", "options": {}}),
-        "http": config.http.model_copy(update={"port": None}),
         "sinks": (),
     }
     return config.model_copy(update=update)

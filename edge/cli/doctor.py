@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from importlib import util
 
-from edge.cli import bus_checks, machine_checks, model_checks
+from edge.cli import bus_checks, machine_checks, model_checks, preflight
 from edge.cli.findings import Check, Finding, Level, fail, finding_of, ok
 from edge.cli.live_checks import check_live_sensors
-from edge.cli.preflight import CLASSES
+from edge.cli.onnx_probe import crashes
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.host import resources
@@ -50,7 +50,8 @@ def examine(config: Config) -> list[Finding]:
             reason = one_line(f"{type(error).__name__}: {error}")
             todo = "please report this bug of edge"
             findings.append(fail(f"check of {name} crashed: {reason}", todo))
-    return list(dict.fromkeys(findings))  # several checks may find the same problem
+    # Several checks may find the same problem; one of them may know what to do.
+    return list({(f.level, f.what): f for f in findings}.values())
 
 
 def as_text(findings: list[Finding]) -> str:
@@ -67,23 +68,30 @@ def as_json(findings: list[Finding]) -> str:
     return json.dumps({"ok": healthy, "findings": [asdict(f) for f in findings]}, indent=2)
 
 
-def check_classes(config: Config) -> Iterator[Finding]:
-    """Check the classes of source, sinks, policy and planner, and their options."""
-    for check in CLASSES:
-        try:
-            check(config)
-        except UserError as error:
-            yield finding_of(error, todo="correct the configuration")
+def check_configuration(config: Config) -> Iterator[Finding]:
+    """Check all that `edge run` checks before it starts; see `edge.cli.preflight`."""
+    if crashes():
+        return
+    try:
+        preflight.check(config)
+    except UserError as error:
+        for line in str(error).splitlines():
+            yield finding_of(UserError(line), todo="correct the configuration")
 
 
 def check_mission(config: Config) -> Iterator[Finding]:
-    """Check that the mission is understood and possible, and the checkpoint can be written."""
+    """Check that the mission is understood and possible, and the checkpoint can be written.
+
+    Also check that the detector knows the targets.
+    """
     from edge.host.checkpoint import CheckpointWriter
     from edge.mission.checkpoint import MISSION
     from edge.tasks.mission_spec import prepare_mission
 
     try:
         spec = prepare_mission(config)
+        if not crashes():
+            preflight.check_mission(config)
         if config.mission.checkpoint is not None:
             CheckpointWriter(resources.expand(config.mission.checkpoint), MISSION).close()
     except UserError as error:
@@ -92,20 +100,6 @@ def check_mission(config: Config) -> Iterator[Finding]:
         translation = spec.translation
         formula = f" [{one_line(translation.formula)}]" if spec.steps is None else ""
         yield ok(f"mission: {translation.understood}{formula}")
-
-
-def check_tasks(config: Config) -> Iterator[Finding]:
-    """Check the interpreter for scripts of a model, which `tasks.planner: rules` does not need."""
-    from edge.tasks import script
-
-    try:
-        version = script.version()
-    except UserError as error:
-        level_if_missing: Level = "fail" if config.tasks.planner.kind == "model" else "warn"
-        yield finding_of(error, level_if_missing)
-    else:
-        can = "can run the scripts that a language model writes"
-        yield ok(f"tasks: pydantic-monty {version} {can}")
 
 
 def check_worlds(config: Config) -> Iterator[Finding]:
@@ -127,6 +121,6 @@ CHECKS: tuple[Check, ...] = (
     machine_checks.check_shared_memory, machine_checks.check_cache, machine_checks.check_stop,
     machine_checks.check_numba, bus_checks.check_zenoh, bus_checks.check_endpoint,
     bus_checks.check_access, model_checks.check_onnxruntime, model_checks.check_tensorrt,
-    check_classes, model_checks.check_models, check_mission, model_checks.check_vocabulary,
-    model_checks.check_scorers, check_tasks, check_worlds,
+    check_configuration, model_checks.check_models, check_mission, model_checks.check_background,
+    model_checks.check_choice_server, check_worlds,
 )  # fmt: skip

@@ -20,7 +20,7 @@ from edge.bus.session import zenoh_session
 from edge.bus.zenoh_file import protocol
 from edge.cli.mission import PATIENCE_S, as_text
 from edge.cli.service_request import ANSWER_S
-from edge.config import MissionConfig, ZenohConfig, load
+from edge.config import Config, MissionConfig, ZenohConfig, load, parse
 from edge.errors import FAILED, UserError
 from edge.fleet.dispatch import POLL_S, Dispatcher, FleetPlan, plan
 from edge.fleet.orders import PartOutcome
@@ -43,12 +43,19 @@ def fleet_settings(name: str) -> tuple[ZenohConfig, MissionConfig]:
     An endpoint is that of a router, such as `tcp/10.0.0.1:7447`.
 
     Raises:
-        ConfigError: the configuration cannot be read.
+        ConfigError: the configuration cannot be read, or the endpoint is not allowed.
     """
     if protocol(name) in _PROTOCOLS and not os.path.exists(name):
-        return ZenohConfig(endpoint=name, mode="client", prefix="robots/any"), MissionConfig()
-    config = load(name)
+        config = _defaults_with(endpoint=name, mode="client", prefix="robots/any")
+    else:
+        config = load(name)
     return config.zenoh, config.mission
+
+
+def _defaults_with(**zenoh: str | None) -> Config:
+    """Return the defaults with these keys of the section zenoh, from the command line."""
+    sections = {"perception": {"detector": {"kind": "sim"}}, "zenoh": zenoh}
+    return parse(sections, "command line")
 
 
 # -- the list of robots ------------------------------------------------------------------------
@@ -258,7 +265,7 @@ def _clock(ns: int) -> str:
 def route(args: argparse.Namespace) -> int:
     """Handle `edge fleet router`; route messages until a signal comes."""
     stop = stop_on_signals(args.with_parent)
-    settings = ZenohConfig(endpoint=args.endpoint, file=args.file)
+    settings = _defaults_with(endpoint=args.endpoint, file=args.file).zenoh
     with zenoh_session(settings, "route", stop):
         log.info("router: ready on %s", settings.address)
         stop.wait()

@@ -15,7 +15,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 
 from edge.cli.findings import Finding, fail, ok, ok_or_warn, warn
-from edge.cli.onnx_probe import probe
+from edge.cli.onnx_probe import CUDA, fault_of
 from edge.config import Config
 from edge.host import calibration, machine, resources
 from edge.host.files import make_writable
@@ -101,9 +101,9 @@ def check_jetson(config: Config) -> Iterator[Finding]:
     name = machine.tegra_release(TEGRA_RELEASE)
     if name is None:
         return
-    probed, detector = probe(), config.perception.detector
+    detector = config.perception.detector
     with_tensorrt = detector.kind == "onnx" and TENSORRT in detector.providers
-    if with_tensorrt or (probed is not None and "CUDAExecutionProvider" in probed.ran):
+    if with_tensorrt or not fault_of(CUDA):
         yield ok(f"Jetson: {name}")
     else:
         todo = (

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from edge.cli.findings import Finding, Level, fail, finding_of, ok, warn
 from edge.cli.machine_checks import is_installed
-from edge.cli.onnx_probe import CPU, probe
+from edge.cli.onnx_probe import CPU, CUDA, crashes, fault_of
 from edge.cli.preflight import named_models
 from edge.config import Config
 from edge.errors import UserError
@@ -18,6 +20,8 @@ from edge.perception.runtime.card_types import ChoiceCard, FileCard
 from edge.perception.runtime.sessions import TENSORRT
 from edge.text import redact
 
+DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
+"""Packages that contain onnxruntime."""
 SERVER_S = 2.0
 """Time for the connection to a server."""
 
@@ -28,42 +32,35 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
     wanted = detector.providers if detector.kind == "onnx" else ()
     needed = any(name != TENSORRT for name in wanted)
     level_if_missing: Level = "fail" if needed else "warn"
-    if is_installed("onnxruntime") and is_installed("onnxruntime-gpu"):
+    if all(map(is_installed, DISTRIBUTIONS)):
         todo = "pip uninstall onnxruntime onnxruntime-gpu, then install only one of them"
         yield warn("onnxruntime and onnxruntime-gpu are both installed", todo)
-    probed = probe()
-    if probed is None:
+    if find_spec("onnxruntime") is None:
         what = "onnxruntime is not installed, so no neural detector can run"
         yield Finding(level_if_missing, what, "pip install 'edge-vln[cpu]' (or [gpu])")
         return
-    what = f"onnxruntime {probed.version}".strip()
-    if not probed.fault:
-        names = ", ".join(name.removesuffix("ExecutionProvider") for name in probed.providers)
-        yield ok(f"{what} runs a model; execution providers: {names}")
-    elif CPU in probed.ran:  # so the fault is in another provider
-        todo = "check the GPU driver and CUDA, or use CPUExecutionProvider"
-        yield warn(f"{what} {probed.fault}", todo)
-    else:
+    versions = (metadata.version(name) for name in DISTRIBUTIONS if is_installed(name))
+    what = f"onnxruntime {next(versions, '')}".strip()
+    if fault := fault_of(CPU):
         todo = (
             "another version may work (pip install 'onnxruntime==1.20.1'), and on arm64 all cores "
             "must be on (Jetson: sudo nvpmodel -m 0; not under qemu): docs/install.md"
         )
-        yield Finding(level_if_missing, f"{what} {probed.fault}", todo)
+        yield Finding(level_if_missing, f"{what}: {fault}", todo)
         return
+    import onnxruntime
+
+    available = onnxruntime.get_available_providers()
+    names = ", ".join(name.removesuffix("ExecutionProvider") for name in available)
+    yield ok(f"{what} runs a model; execution providers: {names}")
+    if CUDA in available and (fault := fault_of(CUDA)):
+        todo = f"check the GPU driver and CUDA, or use {CPU}"
+        yield warn(f"{what} fails on {CUDA}: {fault}", todo)
     key = "perception.detector.providers"
     for name in wanted:
-        if name != TENSORRT and name not in probed.providers:
+        if name != TENSORRT and name not in available:
             todo = f"install an onnxruntime with this provider, or change {key}"
             yield fail(f"{key}: {name} is not in the installed onnxruntime", todo)
-
-
-def _sessions_crash() -> bool:
-    """Return True if onnxruntime is installed but fails, as `check_onnxruntime` reports.
-
-    Then no check may open a session in this process.
-    """
-    probed = probe()
-    return probed is not None and CPU not in probed.ran
 
 
 def check_tensorrt(config: Config) -> Iterator[Finding]:
@@ -81,7 +78,10 @@ def check_tensorrt(config: Config) -> Iterator[Finding]:
 
 
 def check_models(config: Config) -> Iterator[Finding]:
-    """Check the files of all models that are here or that the configuration names."""
+    """Check the files of all models that are here.
+
+    A model that the configuration names and that is not here is reported by `check_configuration`.
+    """
     from edge.perception.runtime.cards import ModelError, card_names, check_installed, load_card
 
     needed = {model.name for model in named_models(config)}
@@ -92,13 +92,16 @@ def check_models(config: Config) -> Iterator[Finding]:
     for name in names:
         try:
             card = load_card(name)
+        except ModelError as error:
+            if name not in needed:
+                yield finding_of(error, "warn")
+            continue
+        try:
             served = [file.server for file in card.files if file.server is not None]
             try:
                 check_installed(card)
             except ModelError:
-                if name in needed:
-                    raise
-                n_absent += 1
+                n_absent += name not in needed
                 continue
             paths = [_verify(file) for file in card.files if file.server is None]
         except ModelError as error:
@@ -130,64 +133,30 @@ def _server_finding(name: str, url: str) -> Finding:
     return warn(f"model {name}: no server listens at {shown}", todo)
 
 
-def _targets(config: Config) -> tuple[str, ...]:
-    """Return the targets of the mission; of a refused mission only `mission.target`."""
-    from edge.tasks.mission_spec import prepare_mission
-
-    try:
-        return prepare_mission(config).prompts
-    except UserError:
-        return (config.mission.target,)
-
-
-def check_vocabulary(config: Config) -> Iterator[Finding]:
-    """Check that the detector's text encoder knows the targets and the background words."""
+def check_background(config: Config) -> Iterator[Finding]:
+    """Check that the detector's text encoder knows the background words."""
     from edge.perception.embedding.encoders import make_text_encoder
-    from edge.perception.embedding.text import TextEmbeddings, TextEncoder, words_for
+    from edge.perception.embedding.text import words_for
     from edge.perception.runtime.cards import load_detector_card
 
     detector = config.perception.detector
-    if detector.kind == "onnx" and _sessions_crash():
-        return
-    encoder: TextEncoder
-    try:
-        if detector.kind == "onnx":
-            encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
-            encoder.embed(_targets(config))
-        else:
-            encoder = TextEmbeddings(None)
-    except UserError as error:
-        yield finding_of(error, "fail" if detector.kind == "onnx" else "warn")
-    else:
-        yield ok(f"text embeddings: {encoder!r}")
-        if detector.kind == "onnx":
-            known = words_for(detector.background, encoder.resolve)
-            unknown = [word for word in detector.background if word not in known]
-            if unknown:
-                what = (
-                    f"model {detector.model} does not know {len(unknown)} of the "
-                    f"{len(detector.background)} words of perception.detector.background"
-                )
-                yield warn(what, f"remove or replace these words: {', '.join(unknown)}")
-
-
-def check_scorers(config: Config) -> Iterator[Finding]:
-    """Check that the configured scorers can be made, and that their server listens."""
-    from edge.loop.scoring.scorers import make_scorers
-
-    uses_onnx = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
-    if uses_onnx and _sessions_crash():
+    if detector.kind != "onnx" or crashes():
         return
     try:
-        scorers = make_scorers(config, _targets(config))
-    except UserError as error:
-        yield finding_of(error)
+        encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
+    except UserError:  # as the check of the configuration reports
         return
-    if scorers is None:
-        return
-    names = scorers.names()
-    scorers.close()
-    yield ok(f"scorers: {', '.join(names)}")
+    known = words_for(detector.background, encoder.resolve)
+    if unknown := [word for word in detector.background if word not in known]:
+        what = (
+            f"model {detector.model} does not know {len(unknown)} of the "
+            f"{len(detector.background)} words of perception.detector.background"
+        )
+        yield warn(what, f"remove or replace these words: {', '.join(unknown)}")
+
+
+def check_choice_server(config: Config) -> Iterator[Finding]:
+    """Check that the server of the choice among frontiers listens."""
     choice = config.perception.choice
     if choice.kind in ("openai", "text") and not _listens(choice.url):
         todo = "start the server, or correct the URL; until then no model chooses among frontiers"
@@ -197,9 +166,9 @@ def check_scorers(config: Config) -> Iterator[Finding]:
 def _listens(url: str) -> bool:
     """Return True if a TCP connection to the server of a URL can be opened."""
     parts = urlsplit(url)
-    port = parts.port or {"http": 80, "https": 443}[parts.scheme]
     try:
+        port = parts.port or {"http": 80, "https": 443}[parts.scheme]
         socket.create_connection((parts.hostname, port), SERVER_S).close()
-    except (OSError, UnicodeError):  # UnicodeError: an invalid label in the host name
+    except (OSError, KeyError, ValueError):  # the last two: an invalid URL
         return False
     return True

@@ -138,14 +138,10 @@ def _check_tasks(config: Config) -> None:
         script.version()
 
 
-CLASSES: tuple[Callable[[Config], object], ...] = (
-    find_source,
-    find_sinks,
-    _check_policy,
-    _check_planner,
-)
-"""Checks that the classes that a configuration names exist and accept their options."""
-_CHECKS = (*CLASSES, _check_bus, _check_http, _check_translator, _check_choice, _check_tasks)
+_CHECKS: tuple[Callable[[Config], object], ...] = (
+    find_source, find_sinks, _check_policy, _check_planner, _check_bus, _check_http,
+    _check_translator, _check_choice, _check_tasks,
+)  # fmt: skip
 
 
 class NamedModel(NamedTuple):

@@ -269,7 +269,6 @@ class PerceptionConfig(Section):
         back_projection: source of the 3-D position of a box: `depth` image, or the LiDAR's `cloud`.
         back_projection_min_points: fewest points for a 3-D position.
         back_projection_max_range_m: boxes farther away get no 3-D position.
-        voxel_m: spacing of an object's points.
         merge_m: a detection within this distance of an object of its name belongs to that object.
         min_hits: an object counts as seen after detections in this many images.
         confirm_score: detections with a lower score do not count for `confirm_hits`.
@@ -283,8 +282,6 @@ class PerceptionConfig(Section):
         confirm_hits: number of images that confirm an object.
         confirm_mean: lowest mean score over all views from nearby for a confirmed object.
         confirm_lead: the summed score must be this many times that of any other name.
-        reject_radius_m: an object of the same name within this distance of a rejected one is
-            rejected, too.
     """
 
     isolation: Literal["thread", "process"] = "thread"
@@ -311,7 +308,6 @@ class PerceptionConfig(Section):
     back_projection: Literal["depth", "cloud"] = "depth"
     back_projection_min_points: Annotated[int, Field(ge=1)] = 8
     back_projection_max_range_m: Positive = 8.0
-    voxel_m: Positive = 0.1
     merge_m: Positive = 0.6
     min_hits: Annotated[int, Field(ge=1)] = 2
     confirm_score: Fraction = 0.35
@@ -320,7 +316,6 @@ class PerceptionConfig(Section):
     confirm_hits: Annotated[int, Field(ge=1, le=MAX_CONFIRM_HITS)] = 3
     confirm_mean: Fraction = 0.12
     confirm_lead: Annotated[float, Field(ge=1)] = 1.5
-    reject_radius_m: NonNegative = 0.6
 
     @field_validator("confirm_scores")
     @classmethod

@@ -162,10 +162,6 @@ class MotionConfig(Section):
 
     Attributes:
         rate_hz: velocity commands per second.
-        stuck_s: a robot that does not move for this time, although it should, is stuck.
-        clearance_m: distance to occupied cells, in addition to the inflation of the map.
     """
 
     rate_hz: Positive = 20.0
-    stuck_s: Positive = 4.0
-    clearance_m: NonNegative = 0.0

@@ -72,12 +72,12 @@ class LiveView:
         self._queues = {**self._queues, **queues}
 
     def pages(self) -> GetRoutes:
-        """Return the page and its data, by path; `story` is the mission log."""
+        """Return the page and its data, by path."""
         layers = {f"/live/layers/{i}": partial(self._layer, i) for i in range(MAX_LAYERS)}
         return {
             **{path: partial(_file, file) for path, file in _FILES.items()},
             "/live/now": self._now,
-            "/live/story": self._mission_log,
+            "/live/mission": self._mission_log,
             "/live/task": self._task,
             "/live/site": self._site,
             "/live/memory": self._memory,

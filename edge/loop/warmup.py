@@ -51,7 +51,7 @@ from edge.perception.tracking.back_projection import BackProjector
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.object_tracker import ObjectTracker
-from edge.perception.tracking.track import MAX_POINTS
+from edge.perception.tracking.track import MAX_POINTS, VOXEL_M
 from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.policies import make_policy
 from edge.policies.base import PolicyInput, ScorerOutputs
@@ -274,7 +274,7 @@ def warm_perception(sources: Sequence[str] = ("depth", "cloud")) -> None:
     fusion.expire(observation, detections.prompts)
     # Kernels that need more than one instance or image.
     points_m, support = np.zeros((1, 3), np.float32), np.ones(1, np.int32)
-    instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)
+    instance_kernels.merge_points(points_m, support, points_m, VOXEL_M, MAX_POINTS)
     instance_kernels.core_points(points_m, support)
     instance_kernels.nearest(points_m, 0.0, 0.0)
     instance_kernels.least_gap(points_m, points_m)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ from edge.perception.runtime.cards import ModelError, all_cards, verify_file, ve
 from edge.perception.runtime.health import WHY_INVALID, log_progress
 from edge.perception.runtime.kserve import KServeSession
 from edge.perception.runtime.onnx_file import MASK_OUTPUTS
-from edge.perception.runtime.sessions import DTYPES, open_session
+from edge.perception.runtime.sessions import CPU_ONLY, DTYPES, open_session
 from edge.perception.scoring.choice.letter_scorer import both_questions
 from edge.perception.scoring.choice.question import LETTERS, MAX_MARKS, SYSTEM
 from edge.perception.scoring.vlm.model import FIRST_RUN_S, LanguageModel
@@ -90,20 +91,30 @@ def _report(models: list[tuple[FileCard | ChoiceCard, Path | None]], limit_s: fl
     return 1 if failed else 0
 
 
-def check_in_subprocess(card: FileCard | ChoiceCard, file: Path | None, limit_s: float) -> str:
-    """Run `check_model` in a process that is killed after `limit_s`; return its result line."""
+def check_in_subprocess(
+    card: FileCard | ChoiceCard,
+    file: Path | None,
+    limit_s: float,
+    providers: Sequence[str] = CPU_ONLY,
+    limit: str = "--timeout",
+) -> str:
+    """Run `check_model` in a process that is killed after `limit_s`; return its result line.
+
+    `limit` is the name of `limit_s` for the error message.
+    """
     if isinstance(card, FileCard) and card.server is not None and file is None:
         return check_model(card)  # the model runs on a server, so it cannot harm this process
     request = {
         "kind": type(card).__name__,
         "card": card.model_dump(mode="json"),
         "file": None if file is None else str(file),
+        "providers": providers,
     }
     with (
         closing(FrameFile()) as frames,
         closing(ModelProcessClient(request, card.name, frames, PROGRAM)) as link,
     ):
-        header = link.wait_ready(limit_s, lambda: False, log_progress, "--timeout")
+        header = link.wait_ready(limit_s, lambda: False, log_progress, limit)
     return str(header.get("said"))
 
 
@@ -112,7 +123,8 @@ def main() -> int:
     request, _, control, _ = set_up_child()  # the request, and the connection for the answer
     try:
         card = getattr(card_types, request["kind"]).model_validate(request["card"])
-        line = check_model(card, None if request["file"] is None else Path(request["file"]))
+        file = None if request["file"] is None else Path(request["file"])
+        line = check_model(card, file, request["providers"])
     except Exception as error:
         control.send(wire.encode_error(as_memory_error(error)))
         return 1
@@ -120,12 +132,15 @@ def main() -> int:
     return 0
 
 
-def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
+def check_model(
+    card: FileCard | ChoiceCard, file: Path | None = None, providers: Sequence[str] = CPU_ONLY
+) -> str:
     """Check hash, format, names and shapes of a model, and run it once on noise.
 
     Args:
         card: card of the model.
         file: file to check instead of that of the card. Without a known hash, the hash is skipped.
+        providers: execution providers of the run; not for a ChoiceCard or a model on a server.
 
     Returns:
         The result in one line.
@@ -141,7 +156,7 @@ def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
         path, compared = verify_model(card), True
     else:
         path, compared = file, verify_file(card, file)
-    session = open_session(path, ["CPUExecutionProvider"], threads=2)
+    session = open_session(path, providers, threads=2)
     details = _CHECKS.get(type(card), _check_encoder)(path, session, card)
     hashed = "hash" if compared else "hash not known"
     return f"{card.name}: ok ({hashed}, interface, {details})"

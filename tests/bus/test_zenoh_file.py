@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from secure_files import page_commands
 
 from edge.bus import zenoh_file
 from edge.bus.session import BusError, open_session, session_config
@@ -278,16 +279,17 @@ def test_rules_for_another_prefix_are_noticed(settings, text, prefix, shut, capl
     assert (f"no key below {prefix}/" in caplog.text) is shut
 
 
-def access(name: str) -> dict:
-    settings = ZenohConfig(endpoint=OURS, file=str(SECURE / name))
-    return get(session_config(settings, "listen"), "access_control")
-
-
-def test_both_ready_services_have_the_same_rules():
-    by_certificate, by_password = access("service.json5"), access("password-service.json5")
-    assert by_certificate["rules"] == by_password["rules"]
-    assert by_certificate["policies"] == by_password["policies"]
-    assert by_certificate["default_permission"] == by_password["default_permission"] == "deny"
+def test_the_page_makes_the_service_with_passwords_of_the_one_with_certificates(tmp_path):
+    page_commands(tmp_path, "cp config/secure", "sed -e")
+    certificates, passwords = (
+        session_config(ZenohConfig(endpoint=OURS, file=str(tmp_path / f"{name}.json5")), "listen")
+        for name in ("service", "password-service")
+    )
+    rules, same = get(certificates, "access_control"), get(passwords, "access_control")
+    assert (same["rules"], same["policies"]) == (rules["rules"], rules["policies"])
+    assert same["default_permission"] == rules["default_permission"] == "deny"
+    assert {"id": "operator", "usernames": ["operator"]}.items() <= same["subjects"][4].items()
+    assert get(passwords, "transport")["auth"]["usrpwd"]["dictionary_file"] is not None
 
 
 @pytest.mark.parametrize("path", sorted(SECURE.glob("*.json5")), ids=lambda path: path.name)

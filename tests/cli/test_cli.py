@@ -16,6 +16,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import nullcontext
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 from simulated import simulated
@@ -305,6 +306,40 @@ def test_the_demos_page_is_at_one_port_and_stays(
         )
     else:
         assert port == (usual if served_at == "the usual port" else served_at)
+
+
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        (["list", "tcp/10.0.0.1:7447#root_ca_private_key_base64=c2VjcmV0"], "zenoh.endpoint"),
+        (["router", "tcp/10.0.0.1:7447#root_ca_private_key_base64=c2VjcmV0"], "zenoh.endpoint"),
+        (["router", "--file", ""], "zenoh.file"),
+    ],
+)
+def test_a_wrong_router_is_an_error_of_one_line_without_its_secrets(words, key, capsys):
+    assert main(["fleet", *words]) == os.EX_CONFIG
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"command line: {key}: ")
+    assert "c2VjcmV0" not in line
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), [([], None), (["--live"], 7999), (["--live", "7998"], 7998)]
+)
+def test_a_recording_is_shown_only_on_request_and_at_the_configured_port(
+    words, expected, tmp_path, monkeypatch
+):
+    served = []
+
+    def serve(config, *_):
+        served.append(config.http.port)
+        raise Stopped
+
+    monkeypatch.setattr(run_commands, "_serve", serve)
+    monkeypatch.setattr(run_commands, "Playback", lambda *_: nullcontext(MagicMock()))
+    monkeypatch.setenv("EDGE__HTTP__PORT", "7999")
+    main(["play", str(tmp_path / "robot.mcap"), "demo", *words])
+    assert served == [expected]
 
 
 @pytest.mark.parametrize(

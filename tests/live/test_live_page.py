@@ -321,6 +321,17 @@ def test_one_click_stops_and_a_release_takes_two(page, house):
     eventually(lambda: not house.service.control.stopped)
 
 
+def test_each_button_forgets_its_first_click(page):
+    page.click("#stop")
+    page.says("#stop", "Release")
+    page.click("#cancel")
+    page.says("#cancel", "Really cancel?")
+    page.click("#stop")
+    page.says("#stop", "Really release?")
+    page.says("#cancel", "Cancel")
+    page.says("#stop", "Release")
+
+
 @pytest.mark.parametrize("button", ["Allow", "Deny"])
 def test_a_person_allows_or_denies_an_agents_request(tab, button):
     text = "go to the <b>sofa</b>"
@@ -402,7 +413,7 @@ def test_an_error_is_shown_differently_from_no_answer(page, monkeypatch):
         raise ValueError("<b>broken</b>")
 
     for part, function, phase in (
-        ("story", "log_json", "SEARCHING"),
+        ("mission", "log_json", "SEARCHING"),
         ("now", "snapshot_json", "ERROR"),
     ):
         with monkeypatch.context() as breaking:

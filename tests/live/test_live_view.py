@@ -73,7 +73,7 @@ def test_the_page_works_before_the_service_starts(view):
     now = fetch(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
     assert (now["status"], now["shots"], now["silent_s"]) == (None, {}, None)
-    for path in ("story", "task", "site", "memory", "map", "camera", "camera2", "layers/0"):
+    for path in ("mission", "task", "site", "memory", "map", "camera", "camera2", "layers/0"):
         assert fetch(view, f"/live/{path}") is None
     answer = view.forms()["/mission/request"](b'{"do": "pause"}')
     assert (int(answer.status), json.loads(answer.body)) == (
@@ -84,7 +84,7 @@ def test_the_page_works_before_the_service_starts(view):
 def test_the_page_gets_the_labels_that_the_targets_mean(view):
     view.sink.mark_watched()
     view.sink.tick(result(**{**full(), "targets": {"every chair": "chair", "dock": "dock"}}))
-    assert fetch(view, "/live/story")["targets"] == ["chair", "dock"]
+    assert fetch(view, "/live/mission")["targets"] == ["chair", "dock"]
 
 
 def test_only_the_page_itself_is_public(view):
@@ -99,14 +99,14 @@ def test_only_the_page_itself_is_public(view):
 def test_all_pages_are_json_without_infinities(view):
     view.sink.mark_watched()
     view.sink.tick(result(**full()))
-    status, story = fetch(view, "/live/now")["status"], fetch(view, "/live/story")
+    status, log = fetch(view, "/live/now")["status"], fetch(view, "/live/mission")
     assert status["instances"][0]["label"] == EVIL
     assert status["goal"]["score"] is None
     assert [c["score"] for c in status["candidates"]] == [0.5, None]
     assert [c["path_m"] for c in status["candidates"]] == [1.0, None]
     assert len(status["path"]) <= MAX_POINTS
-    assert story["events"] == [{"t_s": 1e-9, "text": EVIL}]
-    assert story["layers"] == ["value of chair"]
+    assert log["events"] == [{"t_s": 1e-9, "text": EVIL}]
+    assert log["layers"] == ["value of chair"]
     memory = fetch(view, "/live/memory")
     (known,) = memory["objects"]
     assert [(room["kinds"], room["area_m2"]) for room in memory["rooms"]] == [(["kitchen"], 12.0)]
@@ -114,7 +114,7 @@ def test_all_pages_are_json_without_infinities(view):
     site = fetch(view, "/live/site")
     assert site["number"] == status["site"]
     assert [one["properties"]["name"] for one in site["features"]] == ["dock", "pit"]
-    assert [node["current"] for node in story["automaton"]["nodes"]] == [True, False]
+    assert [node["current"] for node in log["automaton"]["nodes"]] == [True, False]
 
 
 def test_layers_are_fetched_by_number_and_may_be_absent(view):

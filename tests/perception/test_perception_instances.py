@@ -305,7 +305,7 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
 
 
 def test_a_rejected_object_is_never_pursued_again(scene):
-    s = scene(reject_radius_m=0.6, min_hits=1)
+    s = scene(min_hits=1)
     (chair,) = s.see(("chair", 2, 0, 0.6))
     s.tracker.reject(chair.id)
     for _ in range(5):
@@ -320,8 +320,8 @@ def test_a_rejected_object_is_never_pursued_again(scene):
 
 
 def test_rejecting_an_object_removes_its_duplicates(scene):
-    s = scene(merge_m=0.3, reject_radius_m=0.7)
-    s.see(("chair", 2, 0, 0.6), ("chair", 2.6, 0, 0.6), ("sofa", 2.3, 0, 0.6))
+    s = scene(merge_m=0.3)
+    s.see(("chair", 2, 0, 0.6), ("chair", 2.5, 0, 0.6), ("sofa", 2.3, 0, 0.6))
     s.tracker.reject(1)
     assert [(i.label, i.state) for i in s.tracker.all] == [
         ("chair", "rejected"),

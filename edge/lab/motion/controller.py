@@ -24,6 +24,7 @@ from edge.types import GoalStatus
 log = logging.getLogger("edge.lab.motion")
 
 YAW_TOLERANCE_RAD = 0.15  # with `GOAL_TOLERANCE_M`: a goal is reached within both
+STUCK_S = 4.0  # a robot that does not move for this time, although it should, is stuck
 CONTACT_M = 0.3  # commanded distance without movement that counts as contact with an obstacle
 # A goal fails if the robot gets stuck again nearer than this to its last recovery: after a
 # standstill, or after a contact.
@@ -53,9 +54,9 @@ class Controller:
     def __init__(self, settings: config.Config) -> None:
         self._settings = settings
         self.route = Route(MotionLimits.of(settings.robot))
-        self._stuck = StuckDetector(settings.motion.stuck_s)
+        self._stuck = StuckDetector(STUCK_S)
         self._contact = ContactDetector(CONTACT_M, STUCK_M)
-        self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
+        self._progress = ProgressMonitor(6 * STUCK_S)
         self._trail = BacktrackPath()  # the last metres that the robot drove
         self._recovery_failed_at: SE2 | None = None  # pose, if the last recovery did not move it
         self._now_ns: int | None = None
@@ -92,8 +93,7 @@ class Controller:
                 f"resolution of the map: expected {MIN_CELL_M:g} to {MAX_CELL_M:g} m, got "
                 f"{grid.resolution_m:g} m"
             )
-        clearance_m = self._settings.motion.clearance_m
-        self.route.on_map(costmap.from_occupancy(grid, clearance_m=clearance_m, near_m=NEAR_M))
+        self.route.on_map(costmap.from_occupancy(grid, near_m=NEAR_M))
 
     def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
         """Start a new goal, or answer again for a repeated one; return the answers."""

@@ -64,12 +64,12 @@ const mission = (verb) => ask("mission/request", { do: verb });
 $("pause").addEventListener("click", () => mission(asks ? "confirm" : resumes ? "resume" : "pause"));
 
 // Needs two clicks, so that one by mistake does not end a mission or a stop.
-let timer = 0;
+const timers = {}; // by button, so that each asks for its own second click
 function confirmed(button, name) {
-  clearTimeout(timer);
+  clearTimeout(timers[button]);
   const again = $(button).textContent !== name;
   say(button, again ? name : `Really ${name.toLowerCase()}?`);
-  if (!again) timer = setTimeout(() => say(button, name), CONFIRM_MS);
+  if (!again) timers[button] = setTimeout(() => say(button, name), CONFIRM_MS);
   return again;
 }
 $("cancel").addEventListener("click", () => confirmed("cancel", "Cancel") && mission("cancel"));

@@ -10,7 +10,7 @@ import * as panels from "./panels.js";
 import * as site from "./site.js";
 import * as task from "./task.js";
 
-const [NOW_MS, MAP_MS, STORY_MS, GONE_MS] = [200, 500, 1000, 1000];
+const [NOW_MS, MAP_MS, MISSION_MS, GONE_MS] = [200, 500, 1000, 1000];
 const state = { seen_ms: 0, now: null, layers: [] };
 const failed = new Map(); // error message by round
 
@@ -61,12 +61,12 @@ async function now() {
   map.update({ now: data.status, radius_m: data.radius_m });
 }
 
-// The script is long: get it only when it has changed.
-async function scripts() {
+// The plan of a task is long: get it only when it has changed.
+async function plan() {
   const number = state.now?.status?.task?.number;
   if (number === undefined || number === task.number()) return;
-  const script = await get("live/task");
-  if (script) task.showScript(script);
+  const data = await get("live/task");
+  if (data) task.showPlan(data);
 }
 
 // Places change seldom: get them only when they have changed.
@@ -85,8 +85,8 @@ async function shots() {
   await camera.update(state.now?.shots ?? {}, get);
 }
 
-async function story() {
-  const data = await get("live/story");
+async function mission() {
+  const data = await get("live/mission");
   if (!data || !state.now) return;
   const { now } = state;
   const idle = now.status?.phase === "idle";
@@ -146,8 +146,8 @@ scheme();
 
 every(NOW_MS, now);
 every(NOW_MS, shots);
-every(NOW_MS, scripts);
+every(NOW_MS, plan);
 every(NOW_MS, sites);
-every(STORY_MS, memory);
-every(STORY_MS, story);
+every(MISSION_MS, memory);
+every(MISSION_MS, mission);
 every(MAP_MS, maps);

@@ -15,7 +15,7 @@ const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 2
 const canvas = $("map");
 const view = { x: 0, y: 0, scale: 60, follow: false, fitted: true };
 const shown = {
-  map: null, layer: null, now: null, trail: [], targets: [], radius_m: 0.2, script: null,
+  map: null, layer: null, now: null, trail: [], targets: [], radius_m: 0.2, plan: null,
   site: [], objects: [], rooms: [], draft: [],
 };
 let due = false;
@@ -151,7 +151,7 @@ function paint() {
   if (!now) return;
   for (const one of remembered()) known(context, one);
   for (const room of shown.rooms) roomTitle(context, room);
-  if (now.task && shown.script) trajectory(context, shown.script, now.task.index);
+  if (now.task && shown.plan) trajectory(context, shown.plan, now.task.index);
   line(context, now.path.map(toScreen), colour("path"), 2.5, [7, 5]);
   const open = now.candidates.filter((c) => c.kind !== "instance");
   open.sort((a, b) => (a.score ?? -1) - (b.score ?? -1)); // the best on top

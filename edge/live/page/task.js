@@ -4,34 +4,34 @@ import { $, make, once, say } from "./dom.js";
 import * as map from "./map.js";
 import { pairs } from "./panels.js";
 
-let script = null;
+let plan = null;
 
-export const number = () => script?.number;
+export const number = () => plan?.number;
 
 // `progress`: data that change all the time; null: no task.
 export function show(progress) {
   $("task").hidden = !progress;
   for (const kind of ["coarse", "trajectory"]) {
-    document.querySelector(`.legend .${kind}`).hidden = !progress || !script?.[kind].length;
+    document.querySelector(`.legend .${kind}`).hidden = !progress || !plan?.[kind].length;
   }
   if (!progress) drop();
-  else if (script) facts(rowsOf(progress, script));
+  else if (plan) facts(rowsOf(progress, plan));
 }
 
-export function showScript(data) {
-  script = data;
-  map.update({ script });
-  say("asked", script.instruction);
-  say("understood", script.understood);
-  rounds(script.rounds);
-  $("prompt-fold").hidden = !script.prompt;
-  say("prompt", script.prompt);
+export function showPlan(data) {
+  plan = data;
+  map.update({ plan });
+  say("asked", plan.instruction);
+  say("understood", plan.understood);
+  rounds(plan.rounds);
+  $("prompt-fold").hidden = !plan.prompt;
+  say("prompt", plan.prompt);
 }
 
 function drop() {
-  if (!script) return;
-  script = null;
-  map.update({ script });
+  if (!plan) return;
+  plan = null;
+  map.update({ plan });
 }
 
 const facts = once((rows) => pairs("task-facts", rows));

@@ -116,17 +116,14 @@ def check_providers(providers: Sequence[str], key: str, ask_onnxruntime: bool = 
             )
         tensorrt.load()
         return
-    missing_package = ModelError(
-        "onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])"
-    )
+    if importlib.util.find_spec("onnxruntime") is None:
+        raise ModelError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
     if not ask_onnxruntime:
-        if importlib.util.find_spec("onnxruntime") is None:
-            raise missing_package
         return
     try:
         import onnxruntime as ort
-    except ImportError:
-        raise missing_package from None
+    except ImportError as error:
+        raise ModelError(f"onnxruntime cannot be imported: {one_line(error)}") from None
     available = ort.get_available_providers()
     for provider in providers:
         if provider not in available:

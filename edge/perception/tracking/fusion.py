@@ -95,7 +95,7 @@ class InstanceFusion:
                 track = tracker.create(detections.prompts[class_id], points, score, stamp_ns)
             elif track.instance.id in hit:  # a second box of one object: only its points count
                 if strong:
-                    track.grow(points, c.voxel_m)
+                    track.grow(points)
                 continue
             elif unsuppressed[i]:
                 track.merge(points, score, stamp_ns, c)
@@ -305,7 +305,7 @@ class InstanceFusion:
             del tracks[new.instance.id]
             old.absorb(new)
             self._update_state(old)
-            old.grow(new.instance.points_m, c.voxel_m)
+            old.grow(new.instance.points_m)
             self._keep_gaps(old.instance, new.instance)
             track = old
 

@@ -20,6 +20,8 @@ from edge.perception.tracking.track import MAX_POINTS, InstanceTrack
 from edge.types import Instance, InstanceState
 
 MAX_INSTANCES = 128
+REJECT_RADIUS_M = 0.6
+"""An object of the same name within this distance of a rejected one is rejected, too."""
 _PROTECTED = ("confirmed", "rejected", "reached")  # states that `limit` never drops
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
 # Attributes that a checkpoint saves: of an instance, and of the evidence of its track.
@@ -156,7 +158,7 @@ class InstanceTracker:
     def reject(self, instance_id: int) -> None:
         """Reject an instance: it is not the target and is never chased again.
 
-        Instances of the same name within `reject_radius_m` are removed, and no new one starts
+        Instances of the same name within `REJECT_RADIUS_M` are removed, and no new one starts
         there.
         """
         track = self.tracks.get(instance_id)
@@ -168,7 +170,7 @@ class InstanceTracker:
                 other is not track
                 and other.instance.state != "reached"
                 and other.name == track.name
-                and other.distance_m(track.x_m, track.y_m) <= self.config.reject_radius_m
+                and other.distance_m(track.x_m, track.y_m) <= REJECT_RADIUS_M
             ):
                 del self.tracks[other.instance.id]
 
@@ -276,7 +278,7 @@ class InstanceTracker:
                 continue
             apart_m = track.distance_m(x_m, y_m)
             if track.instance.state == "rejected":
-                if apart_m <= self.config.reject_radius_m:
+                if apart_m <= REJECT_RADIUS_M:
                     return track
                 continue
             if apart_m - track.radius_m >= best_m:  # no surface point can be nearer
@@ -300,7 +302,7 @@ class InstanceTracker:
             last_seen_ns=stamp_ns,
         )
         track = InstanceTrack(instance, names.canonical(label), stamp_ns)
-        track.grow(points, self.config.voxel_m)
+        track.grow(points)
         self.tracks[instance.id] = track
         return track
 

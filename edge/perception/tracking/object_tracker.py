@@ -27,6 +27,7 @@ from edge.perception.tracking.back_projection import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
 from edge.perception.tracking.moved_objects import VANISHED, MovedObjects, VanishedObject
 from edge.perception.tracking.object_words import ObjectWords
+from edge.perception.tracking.track import VOXEL_M
 from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.types import Observation
 
@@ -307,7 +308,7 @@ class ObjectTracker:
             reach_m = kernels.add_view(
                 self._index, s.xyz_m, s.points_m, s.n_points, e.cursor, s.reach_m, at,
                 boxes.center_m, boxes.points_m, boxes.n_points, i,
-                min(int(s.hits[at]), _MOST_VIEWS), c.voxel_m,
+                min(int(s.hits[at]), _MOST_VIEWS), VOXEL_M,
             )  # fmt: skip
             self._farthest_m = max(self._farthest_m, reach_m)
             self.observed.append(ObservedObject(int(s.id[at]), detections.xyxy_px[i], score))
@@ -355,7 +356,7 @@ class ObjectTracker:
             self.moved.unite(kept, gone)
             kernels.add_points(
                 s.points_m, s.n_points, e.cursor, kept, s.points_m[gone].copy(),
-                s.n_points[gone], self.config.voxel_m,
+                s.n_points[gone], VOXEL_M,
             )  # fmt: skip
             self._place(kept)
             self._drop(gone)

@@ -13,6 +13,7 @@ from edge.perception.tracking import instance_kernels as kernels
 from edge.types import Instance
 
 MAX_POINTS = 64  # surface points of an instance
+VOXEL_M = 0.1  # spacing of an object's points
 # Weights of a new score in the running score. A good view counts more than a bad one, since most
 # views are from afar or from the side.
 RISE = 0.5  # if the new score is above the running one
@@ -114,16 +115,16 @@ class InstanceTrack:
         if score > c.tau_det:
             instance.hits += 1
             instance.last_seen_ns = max(instance.last_seen_ns, stamp_ns)
-            self.grow(points, c.voxel_m)
+            self.grow(points)
 
-    def grow(self, points: np.ndarray, voxel_m: float) -> None:
+    def grow(self, points: np.ndarray) -> None:
         """Add surface points: one per voxel, at most MAX_POINTS, spread over all voxels.
 
         A rejected instance keeps its points.
         """
         if self.instance.state != "rejected":
             self.set_points(
-                *kernels.merge_points(self.points_m, self.support, points, voxel_m, MAX_POINTS)
+                *kernels.merge_points(self.points_m, self.support, points, VOXEL_M, MAX_POINTS)
             )
 
     def set_points(self, points_m: np.ndarray, support: np.ndarray) -> None:

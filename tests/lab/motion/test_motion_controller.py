@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.geometry import SE2, Grid, wrap_angle
-from edge.lab.motion.controller import YAW_TOLERANCE_RAD, Controller
+from edge.lab.motion.controller import STUCK_S, YAW_TOLERANCE_RAD, Controller
 from edge.lab.motion.route import GIVE_UP_NS, GOAL_TOLERANCE_M
 from edge.trajectory.pursuit import length_m
 from edge.types import GoalStatus
@@ -295,7 +295,7 @@ def test_a_held_robot_recovers_once_and_then_fails():
     ahead, behind = (1.2, 2.0), (0.8, 2.0)  # at its rim
     assert walk.answers[-1] == GoalStatus(1, "failed", "stuck", ahead)
     assert min(commands) < 0  # it backed up in between
-    assert (walk.now_ns - 10**9) / 1e9 < 2 * CONFIG.motion.stuck_s
+    assert (walk.now_ns - 10**9) / 1e9 < 2 * STUCK_S
     assert walk.blocked == [ahead, behind, ahead]
     walk.goal(1, SE2(5.0, 2.0, 0.0))
     assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")  # reported once

@@ -23,7 +23,7 @@ class FaultWindow(NamedTuple):
 Invariant = Callable[["SoakHarness", "SoakMonitor", FaultWindow], str]
 """Returns the reason why a condition does not hold; "" if it holds."""
 
-LIVE_PAGES = ("/live/now", "/live/story", "/live/map", "/live/camera", "/live/layers/0")
+LIVE_PAGES = ("/live/now", "/live/mission", "/live/map", "/live/camera", "/live/layers/0")
 """Requests of an open live page."""
 # Smallest allowed share of the usual tick rate; the machine may have other work.
 _MIN_RATE_SHARE = 0.5
