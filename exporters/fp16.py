@@ -69,7 +69,9 @@ def overflowing_nodes(model: onnx.ModelProto, feeds: list[Feed]) -> set[str]:
     session = _range_session(model, names)
     large: set[str] = set()
     for feed in with_progress("pictures: values", feeds):
-        large.update(k for k, v in feed.items() if not np.abs(v).max(initial=0.0) <= SAFE_LIMIT)
+        for name, value in feed.items():  # integers, such as tokens, are not converted
+            if value.dtype == np.float32 and not np.abs(value).max(initial=0.0) <= SAFE_LIMIT:
+                large.add(name)
         is_small = session.run([_SMALL + name for name in names], feed) if names else []
         large.update(name for name, small in zip(names, is_small, strict=True) if not small)
     return {
