@@ -42,21 +42,15 @@ def kept_nodes(model: onnx.ModelProto, feeds: list[Feed], recipe: Recipe) -> set
     return set(nodes_like(model, recipe.not_fp16)) | overflowing_nodes(model, feeds)
 
 
-def to_fp16(
-    model: onnx.ModelProto, kept: set[str], float16_io_prefixes: tuple[str, ...] = ()
-) -> onnx.ModelProto:
-    """Return the model in float16, except for the nodes `kept`; constants are clipped to its range.
+def to_fp16(model: onnx.ModelProto, kept: set[str]) -> onnx.ModelProto:
+    """Return the model in float16, except for the nodes `kept`, and inputs and outputs.
 
-    Inputs and outputs whose name begins with one of `float16_io_prefixes` become float16, too.
+    Constants are clipped to its range.
     """
     from onnxruntime.transformers.float16 import convert_float_to_float16
     from onnxruntime.transformers.onnx_model import OnnxModel
 
-    inputs_outputs = [value.name for value in (*model.graph.input, *model.graph.output)]
-    float32_io = [name for name in inputs_outputs if not name.startswith(float16_io_prefixes)]
-    converted = convert_float_to_float16(
-        model, keep_io_types=float32_io, node_block_list=sorted(kept)
-    )
+    converted = convert_float_to_float16(model, keep_io_types=True, node_block_list=sorted(kept))
     drop_round_trips(converted)
     OnnxModel(converted).topological_sort()
     onnx.checker.check_model(converted)

@@ -33,7 +33,6 @@ from exporters.onnx_format import trace_module
 from exporters.quantize import pictures
 from exporters.sidecar import write_sidecar
 from exporters.vlm_files import (
-    CACHED,
     DECODER,
     EMBEDDING,
     VISION,
@@ -281,7 +280,7 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
     n, n_past = TRACED_TOKENS, TRACED_PAST
     cached_names = [f"{i}.{kind}" for i in range(layers) for kind in ("key", "value")]
     positions = torch.arange(n_past, n_past + n)[None]
-    past_prefix, present_prefix = CACHED
+    past_prefix, present_prefix = "past_key_values.", "present."
     batch_and_tokens = {0: "batch", 1: "tokens"}  # names of the dynamic axes
     deepstack = [f"{DEEPSTACK}{i}" for i in range(networks.deepstack)]
     embedded = torch.zeros(1, n, networks.text.hidden_size)

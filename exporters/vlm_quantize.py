@@ -15,22 +15,17 @@ from typing import Any
 import numpy as np
 import onnx
 
-from edge.host.files import replace_atomically
 from edge.perception.runtime.card_types import ChoiceCard
 from edge.perception.runtime.cards import card_names, load_card, verify_parts
 from edge.perception.scoring.vlm.files import TOKENIZER, read_files
 from edge.perception.scoring.vlm.pictures import make_prepare
 from exporters import hugging_face
+from exporters.calibration import Feed
 from exporters.files import ExportError, write_card
-from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import digest_of, read_rgb
-from exporters.onnx_format import check_format
 from exporters.quantize import pictures, quantize, require_calibration
-from exporters.recipes import TRANSFORMER, Recipe, nodes_like
+from exporters.recipes import TRANSFORMER
 from exporters.vlm_files import (
-    CACHED,
-    DECODER,
-    EMBEDDING,
     FILES,
     ONE_FILE_BYTES,
     VISION,
@@ -45,32 +40,17 @@ from exporters.vlm_parity import (
     LetterReport,
     OnnxPipeline,
     Question,
-    position_ids_of,
     questions,
 )
 from exporters.weight_only import quantize_weights
 
 FP32 = "fp32"  # precision of the source
 OUT = "quantized"  # folder of the variants
-PRECISIONS = {
-    "fp16": ("fp16", "fp16", "fp16"),
-    "int8": ("int8", "int8", "int8"),
-    "q4": ("int8", "int8", "q4"),
-    "q4f16": ("fp16", "fp16", "q4f16"),
-}
+PRECISIONS = {"int8": ("int8", "int8", "int8"), "q4": ("int8", "int8", "q4")}
 """Precisions of vision encoder, token embedding and decoder, by the card's precision.
 
 `int8` is static for the vision encoder and weight-only for the others; `q4` is weight-only.
 """
-RECIPES = {
-    VISION: Recipe(not_fp16=(r"^/places/",)),
-    EMBEDDING: Recipe(),
-    DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"norm/")),
-}
-"""Nodes that stay in float32, by the network. In float16 the rotary angle of position 1000 has no
-fraction left, and the square of a decoder's hidden value overflows."""
-HALF_PICTURES = 8
-"""Number of images for the check which of the decoder's values are too large for float16."""
 
 
 def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
@@ -105,7 +85,8 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     comparison = LetterComparison(original, shown, asked)
     fp32 = dict(zip(FILES, map(card.path_of, card.networks), strict=True))
     (card.path / OUT).mkdir(exist_ok=True)
-    builder = VariantBuilder(fp32, original, asked[0], calibration, card.path / OUT)
+    feeds = [original.prepare(read_rgb(path)) for path in calibration]
+    builder = VariantBuilder(fp32, feeds, card.path / OUT)
     others = [part.file for part in card.others if not part.file.startswith("onnx/")]
     reports = {}
     for precision, name in wanted.items():
@@ -130,27 +111,12 @@ class VariantBuilder:
 
     Args:
         fp32: the three files, by name.
-        original: the FP32 model.
-        asked: question for the check which of the decoder's values are too large for float16.
-        calibration: images to calibrate on.
+        feeds: inputs of the vision encoder to calibrate it on.
     """
 
-    def __init__(
-        self,
-        fp32: dict[str, Path],
-        original: OnnxReference,
-        asked: Question,
-        calibration: list[Path],
-        folder: Path,
-    ) -> None:
-        self._fp32, self._folder = fp32, folder
+    def __init__(self, fp32: dict[str, Path], feeds: list[Feed], folder: Path) -> None:
+        self._fp32, self._feeds, self._folder = fp32, feeds, folder
         self._made: dict[tuple[str, str], list[Path]] = {}
-        few = [original.show(read_rgb(path)) for path in calibration[:HALF_PICTURES]]
-        self._feeds = {
-            VISION: [original.prepare(read_rgb(path)) for path in calibration],
-            EMBEDDING: [{"input_ids": asked.ids(1)}],
-            DECODER: [original.decoder_feeds(asked, shown) for shown in few],
-        }
 
     def make(self, name: str, precision: str) -> list[Path]:
         """Return the file of a network in a precision, and its weight files."""
@@ -162,27 +128,12 @@ class VariantBuilder:
 
     def _make(self, name: str, precision: str, out: Path) -> list[Path]:
         """Write the file of a network in a precision; return it and its weight files."""
-        fp32, feeds = self._fp32[name], self._feeds[name]
-        model = onnx.load(fp32)
+        model = onnx.load(self._fp32[name])
         # A larger model cannot be run to find its ranges: it would have to be one file.
-        fits_one_file = bytes_of(model) < ONE_FILE_BYTES
-        if name == VISION and precision == "int8" and fits_one_file:
-            with replace_atomically(out) as temporary:
-                quantize(fp32, temporary, feeds, TRANSFORMER, "int8-cpu")
-                check_format(temporary)
+        if name == VISION and precision == "int8" and bytes_of(model) < ONE_FILE_BYTES:
+            quantize(self._fp32[name], out, self._feeds, TRANSFORMER, "int8-cpu")
             return [out]
-        if precision in ("fp16", "q4f16"):
-            recipe = RECIPES[name]
-            if feeds and fits_one_file:
-                in_fp32 = kept_nodes(model, feeds, recipe)
-            else:
-                in_fp32 = set(nodes_like(model, recipe.not_fp16))
-            model = to_fp16(model, in_fp32, float16_io_prefixes=CACHED)
-            if precision == "q4f16":
-                model = quantize_weights(model, "q4")
-        else:
-            model = quantize_weights(model, precision)
-        return save_network(model, out)
+        return save_network(quantize_weights(model, precision), out)
 
 
 class OnnxReference:
@@ -218,10 +169,3 @@ class OnnxReference:
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return (v,) float32 of the token after the question."""
         return self._chain.logits(question, shown.features, shown.grid, self.merge)
-
-    def decoder_feeds(self, question: Question, shown: EncodedImage) -> dict[str, np.ndarray]:
-        """Return the decoder's inputs for the entire question, with an empty cache."""
-        ids = question.ids(len(shown.features))
-        positions = position_ids_of(ids, question.image, shown.grid, self.merge)
-        rows = self._chain.rows(ids, question.image, shown.features)
-        return self._chain.decoder_feeds(rows, positions)

@@ -33,7 +33,7 @@ KINDS = ("idefics3", "smolvlm", "qwen2_vl", "qwen3_vl")
 EVERY = ("fp32", *vlm_quantize.PRECISIONS)
 LARGE = [
     *(("idefics3", p) for p in EVERY),
-    *((kind, p) for kind in ("qwen2_vl", "qwen3_vl") for p in ("fp32", "q4f16")),
+    *((kind, p) for kind in ("qwen2_vl", "qwen3_vl") for p in ("fp32", "q4")),
 ]
 MADE = [("smolvlm", "fp32"), *LARGE]
 MAIN = ("vision_encoder", "embed_tokens", "decoder_model_merged")
@@ -113,7 +113,7 @@ def test_the_three_files_answer_as_the_model(cache, originals, rgb, kind):
 
 @pytest.mark.parametrize("cut", [1, -1])
 @pytest.mark.parametrize(
-    ("kind", "precision"), [("idefics3", "q4f16"), ("qwen2_vl", "fp32"), ("qwen3_vl", "fp32")]
+    ("kind", "precision"), [("idefics3", "q4"), ("qwen2_vl", "fp32"), ("qwen3_vl", "fp32")]
 )
 def test_reading_on_is_reading_at_once(cache, originals, rgb, kind, precision, cut):
     original, asked = originals[kind]
@@ -132,7 +132,7 @@ def test_reading_on_is_reading_at_once(cache, originals, rgb, kind, precision, c
 @pytest.mark.parametrize(("kind", "precision"), MADE)
 def test_every_step_keeps_its_parity(cache, kind, precision):
     """Against torch or the FP32 files; 4 bits are too few for the tiny models' letters."""
-    limits = {"fp32": (1e-5, 1.0), "fp16": (2e-3, 0.97), "int8": (0.03, 0.9)}
+    limits = {"fp32": (1e-5, 1.0), "int8": (0.03, 0.9)}
     against = "torch" if precision == "fp32" else f"{name_of(kind)}-fp32"
     figures = card_of(cache, kind, precision)["measured"][f"against {against}"]
     error, order = limits.get(precision, (0.3, 0.6))
@@ -224,10 +224,7 @@ def test_files_have_the_published_names_and_their_precision(cache, kind, precisi
     suffixes = ["" if kind == "fp32" else f"_{kind}" for kind in kinds]
     assert [f.name for f in files] == [f"{m}{s}.onnx" for m, s in zip(MAIN, suffixes, strict=True)]
     operators = {n.op_type for n in onnx.load(files[2]).graph.node}
-    assert ("MatMulNBits" in operators) == (precision not in ("fp32", "fp16"))
-    half = precision in ("fp16", "q4f16")
-    past = ends_of(files[2])[0]["past_key_values.0.key"][0]
-    assert past == (onnx.TensorProto.FLOAT16 if half else onnx.TensorProto.FLOAT)
+    assert ("MatMulNBits" in operators) == (precision != "fp32")
     if kinds[0] == "int8":
         vision = onnx.load(files[0]).graph
         products = [n for n in vision.node if n.op_type == "MatMul"]
