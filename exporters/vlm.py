@@ -36,8 +36,9 @@ from exporters.vlm_files import (
     DECODER,
     EMBEDDING,
     VISION,
-    compare_and_record,
+    compare_and_place,
     files_of_card,
+    new_files,
     save_network,
 )
 from exporters.vlm_networks import (
@@ -232,16 +233,15 @@ def export(args: Any) -> dict[str, LetterReport]:
     shown = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
     comparison = LetterComparison(original, shown, asked)
     folder = args.cache / args.card
-    (folder / "onnx").mkdir(parents=True, exist_ok=True)
     digest = hugging_face.weights_sha256(args.weights)
+    with new_files(folder / "onnx") as new:
+        with traced(networks) as traces:
+            files = [save_network(onnx.load(path), new / path.name) for path in traces.values()]
+        report, files = compare_and_place(
+            files, folder / "onnx", "fp32", name, comparison, "torch", not args.no_gate,
+            (digest, None),
+        )  # fmt: skip
     others = _copy_others(args.weights, folder, digest)
-    with traced(networks) as traces:
-        files = [
-            save_network(onnx.load(path), folder / "onnx" / path.name) for path in traces.values()
-        ]
-    report = compare_and_record(
-        files, "fp32", name, comparison, "torch", not args.no_gate, (digest, None)
-    )
     card = {
         "name": name, "task": "choice", "family": args.family or args.card,
         "license": args.license or hugging_face.license_of(args.weights),

@@ -30,8 +30,9 @@ from exporters.vlm_files import (
     ONE_FILE_BYTES,
     VISION,
     bytes_of,
-    compare_and_record,
+    compare_and_place,
     files_of_card,
+    new_files,
     save_network,
 )
 from exporters.vlm_parity import (
@@ -84,56 +85,47 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     shown = [original.show(read_rgb(path)) for path in validation]
     comparison = LetterComparison(original, shown, asked)
     fp32 = dict(zip(FILES, map(card.path_of, card.networks), strict=True))
-    (card.path / OUT).mkdir(exist_ok=True)
     feeds = [original.prepare(read_rgb(path)) for path in calibration]
-    builder = VariantBuilder(fp32, feeds, card.path / OUT)
     others = [part.file for part in card.others if not part.file.startswith("onnx/")]
+    made: dict[str, list[Path]] = {}  # by the file's name: several precisions share some
     reports = {}
-    for precision, name in wanted.items():
-        files = [builder.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
-        reports[name] = compare_and_record(
-            files, precision, name, comparison, card.name, not args.no_gate,
-            (None, digest_of(calibration)),
-        )  # fmt: skip
-        card_data = {
-            **card.model_dump(mode="json", include={"task", "family", "license", "folder",
-                                                    "image_tokens", "max_tokens"}),
-            "name": name, "precision": precision, "derived_from": card.name,
-            **files_of_card(files, card.path, others),
-            "measured": {f"against {card.name}": reports[name].figures()},
-        }  # fmt: skip
-        write_card(card_data, args.cache)
+    with new_files(card.path / OUT) as new:
+        for precision, name in wanted.items():
+            parts = {
+                f"{n}_{p}.onnx": (n, p) for n, p in zip(FILES, PRECISIONS[precision], strict=True)
+            }
+            for file, (network, bits) in parts.items():
+                if file not in made:
+                    images = feeds if network == VISION else []
+                    made[file] = make_variant(fp32[network], new / file, bits, images)
+            reports[name], files = compare_and_place(
+                [made[file] for file in parts], card.path / OUT, precision, name, comparison,
+                card.name, not args.no_gate, (None, digest_of(calibration)),
+            )  # fmt: skip
+            made |= zip(parts, files, strict=True)
+            card_data = {
+                **card.model_dump(mode="json", include={"task", "family", "license", "folder",
+                                                        "image_tokens", "max_tokens"}),
+                "name": name, "precision": precision, "derived_from": card.name,
+                **files_of_card(files, card.path, others),
+                "measured": {f"against {card.name}": reports[name].figures()},
+            }  # fmt: skip
+            write_card(card_data, args.cache)
     return reports
 
 
-class VariantBuilder:
-    """Makes variants of the FP32 files, each once: several precisions of a model share some.
+def make_variant(fp32: Path, out: Path, precision: str, images: list[Feed]) -> list[Path]:
+    """Write the file of a network in a precision; return it and its weight files.
 
-    Args:
-        fp32: the three files, by name.
-        feeds: inputs of the vision encoder to calibrate it on.
+    `images` are inputs to calibrate a vision encoder on; [] for the other networks.
     """
-
-    def __init__(self, fp32: dict[str, Path], feeds: list[Feed], folder: Path) -> None:
-        self._fp32, self._feeds, self._folder = fp32, feeds, folder
-        self._made: dict[tuple[str, str], list[Path]] = {}
-
-    def make(self, name: str, precision: str) -> list[Path]:
-        """Return the file of a network in a precision, and its weight files."""
-        if (name, precision) not in self._made:
-            out = self._folder / f"{name}_{precision}.onnx"
-            print(f"{out.name}: making it", file=sys.stderr)
-            self._made[name, precision] = self._make(name, precision, out)
-        return self._made[name, precision]
-
-    def _make(self, name: str, precision: str, out: Path) -> list[Path]:
-        """Write the file of a network in a precision; return it and its weight files."""
-        model = onnx.load(self._fp32[name])
-        # A larger model cannot be run to find its ranges: it would have to be one file.
-        if name == VISION and precision == "int8" and bytes_of(model) < ONE_FILE_BYTES:
-            quantize(self._fp32[name], out, self._feeds, TRANSFORMER, "int8-cpu")
-            return [out]
-        return save_network(quantize_weights(model, precision), out)
+    print(f"{out.name}: making it", file=sys.stderr)
+    model = onnx.load(fp32)
+    # A larger model cannot be run to find its ranges: it would have to be one file.
+    if images and precision == "int8" and bytes_of(model) < ONE_FILE_BYTES:
+        quantize(fp32, out, images, TRANSFORMER, "int8-cpu")
+        return [out]
+    return save_network(quantize_weights(model, precision), out)
 
 
 class OnnxReference:

@@ -268,6 +268,25 @@ def test_large_weights_are_saved_next_to_the_network(
     np.testing.assert_allclose(logits, original.logits(asked[0], shown), atol=2e-5)
 
 
+def test_files_that_miss_the_gate_replace_nothing(folders, photos, tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    models = tmp_path / "models"
+    images = ["--validation", str(photos)]
+    export = ["my", "--weights", str(folders["smolvlm"]), "--cache", str(models), *images]
+    more = ["--cards", str(models), "--calibration", str(photos), "--precision", "q4"]
+    quantize = ["my-fp32", "--cache", str(models), *images, *more]
+
+    def files():
+        return {path: path.stat().st_mtime_ns for path in models.rglob("*") if path.is_file()}
+
+    assert main(export) == main([*quantize, "--no-gate"]) == 0
+    before = files()
+    unreachable = {precision: {"cosine": 2.0} for precision in EVERY}
+    monkeypatch.setattr(vlm_files, "LIMITS", unreachable)
+    assert main(export) == main(quantize) == 1
+    assert files() == before
+
+
 def test_the_weights_digest_is_of_files_of_any_size(tmp_path):
     """Published files are larger than the limit that applies elsewhere."""
     from exporters.hugging_face import weights_sha256
