@@ -109,13 +109,10 @@ class TorchReference:
 
     Attributes:
         prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
-        merge: side, in patches, of the square of the image that one token stands for.
     """
 
     def __init__(self, model: nn.Module, prepare: Callable[[np.ndarray], dict]) -> None:
         self._model, self.prepare = model, prepare
-        visual = getattr(model.model, "visual", None)
-        self.merge = 1 if visual is None else visual.spatial_merge_size
 
     def show(self, rgb: np.ndarray) -> EncodedImage:
         """Preprocess and encode an image, (h, w, 3) uint8."""
@@ -124,13 +121,19 @@ class TorchReference:
             output = self._model.model.get_image_features(**_inputs(feeds))
         parts = [output.pooler_output, *(getattr(output, "deepstack_features", None) or ())]
         # Releases of transformers differ: rows of all images, or a tuple with those of each.
-        rows = [part if torch.is_tensor(part) else torch.cat(tuple(part)) for part in parts]
-        features = torch.cat([one.reshape(-1, one.shape[-1]) for one in rows], dim=-1)
-        return EncodedImage(feeds, features.numpy())
+        parts = [part if torch.is_tensor(part) else torch.cat(tuple(part)) for part in parts]
+        features = torch.cat([one.reshape(-1, one.shape[-1]) for one in parts], dim=-1)
+        grid = None
+        if "grid_thw" in feeds:
+            # Side, in patches, of the square of the image that one token stands for.
+            merge = self._model.model.visual.spatial_merge_size
+            frames, rows, columns = feeds["grid_thw"][0].tolist()
+            grid = frames, rows // merge, columns // merge
+        return EncodedImage(feeds, features.numpy(), grid)
 
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return logits (v,) float32 of the token after the question; v tokens exist."""
-        ids = torch.from_numpy(question.ids(len(shown.features)))
+        ids = torch.from_numpy(question.ids(len(shown.features)))[None]
         more = {}  # Qwen2-VL must know which tokens are the image
         if shown.grid is not None:
             more["mm_token_type_ids"] = (ids == question.image).to(torch.int32)
@@ -227,7 +230,7 @@ def export(args: Any) -> dict[str, LetterReport]:
     model, networks = load_model(args.weights)
     asked = questions(args.weights, model.config.image_token_id)
     for question in asked:
-        used = (*question.ids(1)[0].tolist(), *question.letters)
+        used = [*question.ids(1).tolist(), *np.concatenate(question.letters).tolist()]
         hugging_face.check_tokens(args.weights, used, networks.text.vocab_size)
     original = TorchReference(model, networks.prepare)
     shown = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]

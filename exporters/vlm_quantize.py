@@ -17,9 +17,9 @@ import onnx
 
 from edge.perception.runtime.card_types import ChoiceCard
 from edge.perception.runtime.cards import card_names, load_card, verify_parts
-from edge.perception.scoring.vlm.files import TOKENIZER, read_files
-from edge.perception.scoring.vlm.pictures import make_prepare
-from exporters import hugging_face
+from edge.perception.scoring.vlm.files import open_tokenizer, read_files
+from edge.perception.scoring.vlm.pictures import PreparedImage, make_prepare
+from edge.perception.scoring.vlm.prompt import find_image_token
 from exporters.calibration import Feed
 from exporters.files import ExportError, write_card
 from exporters.images import digest_of, read_rgb
@@ -129,35 +129,28 @@ def make_variant(fp32: Path, out: Path, precision: str, images: list[Feed]) -> l
 
 
 class OnnxReference:
-    """The FP32 files of a card, as the reference of `exporters.vlm_parity.LetterComparison`.
-
-    Attributes:
-        merge: side, in patches, of the square of the image that one token stands for.
-    """
+    """The FP32 files of a card, as the reference of `exporters.vlm_parity.LetterComparison`."""
 
     def __init__(self, card: ChoiceCard) -> None:
         files = read_files(card)
-        self._chain = OnnxPipeline([card.path_of(part) for part in card.networks])
-        found = files.config.get("image_token_id", files.config.get("image_token_index"))
-        text = hugging_face.open_tokenizer(card.path / TOKENIZER).id_to_token(found or 0)
-        if not isinstance(found, int) or text is None:
-            raise ExportError(
-                f"{card.path}: config.json: image_token_id {found!r} is not a token of {TOKENIZER}"
-            )
-        self.image_token = found
-        self.merge = int(files.image.get("merge_size", 1))
+        self._pipeline = OnnxPipeline([card.path_of(part) for part in card.networks])
+        self.image_token, text = find_image_token(files, open_tokenizer(files))
         self._prepare = make_prepare(files, text, card.image_tokens)
 
     def prepare(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
         """Return inputs of the vision encoder's ONNX for an image, (h, w, 3) uint8."""
-        feeds = self._prepare(rgb).feeds
-        return {name: feeds[name] for name in self._chain.vision_inputs}
+        return self._inputs(self._prepare(rgb))
+
+    def _inputs(self, prepared: PreparedImage) -> dict[str, np.ndarray]:
+        """Return those arrays of a prepared image that the vision encoder takes."""
+        return {name: prepared.feeds[name] for name in self._pipeline.vision_inputs}
 
     def show(self, rgb: np.ndarray) -> EncodedImage:
         """Preprocess and encode an image, (h, w, 3) uint8."""
-        feeds = self.prepare(rgb)
-        return EncodedImage(feeds, self._chain.features(feeds))
+        prepared = self._prepare(rgb)
+        feeds = self._inputs(prepared)
+        return EncodedImage(feeds, self._pipeline.features(feeds), prepared.grid)
 
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return (v,) float32 of the token after the question."""
-        return self._chain.logits(question, shown.features, shown.grid, self.merge)
+        return self._pipeline.logits(question, shown.features, shown.grid)
