@@ -13,7 +13,8 @@ import argparse
 import logging
 import sys
 
-from exporters.files import ExportError, at_least_one, exit_on_user_error
+from edge.cli.options import count
+from exporters.files import ExportError, exit_on_user_error
 from exporters.training.results import training_parser
 
 
@@ -48,11 +49,10 @@ def main(argv: list[str] | None) -> None:
            help="seeds of the houses to train on, such as 0:60 for 0 to 59")
     option("--held-out", default="1000:1020",
            help="seeds of the houses to measure on, in the same form")
-    option("--steps", type=int, default=1800, help="training steps")
-    option("--cores", type=int, default=2, help="number of processes that explore houses")
+    option("--steps", type=count, default=1800, help="training steps")
+    option("--cores", type=count, default=2, help="number of processes that explore houses")
     # fmt: on
     args = parser.parse_args(argv)
-    at_least_one(args, "steps", "cores")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     _train(args)
 
