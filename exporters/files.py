@@ -1,8 +1,7 @@
-"""Errors of the export programs for the user, checks of options and file hashes, and cards."""
+"""Errors of the export programs for the user, checks of file hashes, and cards."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -33,15 +32,6 @@ def exit_on_user_error(main: Callable[[list[str] | None], object]) -> Callable[.
         return 0
 
     return run
-
-
-def at_least_one(args: argparse.Namespace, *options: str) -> None:
-    """Raise ExportError if one of these options is below 1."""
-    for option in options:
-        if getattr(args, option) < 1:
-            raise ExportError(
-                f"--{option.replace('_', '-')}: got {getattr(args, option)}; give at least 1"
-            )
 
 
 def sha256_of(path: Path) -> str:

@@ -15,7 +15,6 @@ from onnxruntime import InferenceSession
 from edge.host.files import replace_atomically
 from edge.host.progress import with_progress
 from exporters.calibration import Feed, float_tensors
-from exporters.files import ExportError
 from exporters.onnx_format import check_format, cpu_session
 from exporters.recipes import Recipe, nodes_like
 
@@ -26,11 +25,6 @@ _SMALL = "small?"  # prefix of the outputs of `_range_session`
 
 def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None:
     """Write the float16 model of `fp32` to `out`; see `to_fp16`."""
-    if not feeds:
-        raise ExportError(
-            "fp16: needs images to find the ranges of values; give a folder of images "
-            "(--calibration)"
-        )
     model = onnx.load(fp32)
     with replace_atomically(out) as temporary:
         onnx.save(to_fp16(model, kept_nodes(model, feeds, recipe)), temporary)
@@ -42,21 +36,15 @@ def kept_nodes(model: onnx.ModelProto, feeds: list[Feed], recipe: Recipe) -> set
     return set(nodes_like(model, recipe.not_fp16)) | overflowing_nodes(model, feeds)
 
 
-def to_fp16(
-    model: onnx.ModelProto, kept: set[str], float16_io_prefixes: tuple[str, ...] = ()
-) -> onnx.ModelProto:
-    """Return the model in float16, except for the nodes `kept`; constants are clipped to its range.
+def to_fp16(model: onnx.ModelProto, kept: set[str]) -> onnx.ModelProto:
+    """Return the model in float16, except for the nodes `kept`, and inputs and outputs.
 
-    Inputs and outputs whose name begins with one of `float16_io_prefixes` become float16, too.
+    Constants are clipped to its range.
     """
     from onnxruntime.transformers.float16 import convert_float_to_float16
     from onnxruntime.transformers.onnx_model import OnnxModel
 
-    inputs_outputs = [value.name for value in (*model.graph.input, *model.graph.output)]
-    float32_io = [name for name in inputs_outputs if not name.startswith(float16_io_prefixes)]
-    converted = convert_float_to_float16(
-        model, keep_io_types=float32_io, node_block_list=sorted(kept)
-    )
+    converted = convert_float_to_float16(model, keep_io_types=True, node_block_list=sorted(kept))
     drop_round_trips(converted)
     OnnxModel(converted).topological_sort()
     onnx.checker.check_model(converted)
@@ -69,7 +57,9 @@ def overflowing_nodes(model: onnx.ModelProto, feeds: list[Feed]) -> set[str]:
     session = _range_session(model, names)
     large: set[str] = set()
     for feed in with_progress("pictures: values", feeds):
-        large.update(k for k, v in feed.items() if not np.abs(v).max(initial=0.0) <= SAFE_LIMIT)
+        for name, value in feed.items():  # integers, such as tokens, are not converted
+            if value.dtype == np.float32 and not np.abs(value).max(initial=0.0) <= SAFE_LIMIT:
+                large.add(name)
         is_small = session.run([_SMALL + name for name in names], feed) if names else []
         large.update(name for name, small in zip(names, is_small, strict=True) if not small)
     return {

@@ -33,12 +33,12 @@ from exporters.onnx_format import trace_module
 from exporters.quantize import pictures
 from exporters.sidecar import write_sidecar
 from exporters.vlm_files import (
-    CACHED,
     DECODER,
     EMBEDDING,
     VISION,
-    compare_and_record,
+    compare_and_place,
     files_of_card,
+    new_files,
     save_network,
 )
 from exporters.vlm_networks import (
@@ -109,13 +109,10 @@ class TorchReference:
 
     Attributes:
         prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
-        merge: side, in patches, of the square of the image that one token stands for.
     """
 
     def __init__(self, model: nn.Module, prepare: Callable[[np.ndarray], dict]) -> None:
         self._model, self.prepare = model, prepare
-        visual = getattr(model.model, "visual", None)
-        self.merge = 1 if visual is None else visual.spatial_merge_size
 
     def show(self, rgb: np.ndarray) -> EncodedImage:
         """Preprocess and encode an image, (h, w, 3) uint8."""
@@ -124,13 +121,19 @@ class TorchReference:
             output = self._model.model.get_image_features(**_inputs(feeds))
         parts = [output.pooler_output, *(getattr(output, "deepstack_features", None) or ())]
         # Releases of transformers differ: rows of all images, or a tuple with those of each.
-        rows = [part if torch.is_tensor(part) else torch.cat(tuple(part)) for part in parts]
-        features = torch.cat([one.reshape(-1, one.shape[-1]) for one in rows], dim=-1)
-        return EncodedImage(feeds, features.numpy())
+        parts = [part if torch.is_tensor(part) else torch.cat(tuple(part)) for part in parts]
+        features = torch.cat([one.reshape(-1, one.shape[-1]) for one in parts], dim=-1)
+        grid = None
+        if "grid_thw" in feeds:
+            # Side, in patches, of the square of the image that one token stands for.
+            merge = self._model.model.visual.spatial_merge_size
+            frames, rows, columns = feeds["grid_thw"][0].tolist()
+            grid = frames, rows // merge, columns // merge
+        return EncodedImage(feeds, features.numpy(), grid)
 
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return logits (v,) float32 of the token after the question; v tokens exist."""
-        ids = torch.from_numpy(question.ids(len(shown.features)))
+        ids = torch.from_numpy(question.ids(len(shown.features)))[None]
         more = {}  # Qwen2-VL must know which tokens are the image
         if shown.grid is not None:
             more["mm_token_type_ids"] = (ids == question.image).to(torch.int32)
@@ -155,14 +158,7 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
     """
     import transformers
 
-    kind = hugging_face.model_type(folder)
-    if kind not in FAMILIES:
-        choices = ", ".join(FAMILIES)
-        raise ExportError(
-            f"{folder}: config.json: model_type {one_line(kind)!r} cannot be exported (choices: "
-            f"{choices})"
-        )
-    family = FAMILIES[kind]
+    family = FAMILIES[hugging_face.model_type(folder)]
     model = hugging_face.load(
         getattr(transformers, f"{family.prefix}ForConditionalGeneration"), folder
     )
@@ -227,22 +223,21 @@ def export(args: Any) -> dict[str, LetterReport]:
     model, networks = load_model(args.weights)
     asked = questions(args.weights, model.config.image_token_id)
     for question in asked:
-        used = (*question.ids(1)[0].tolist(), *question.letters)
+        used = [*question.ids(1).tolist(), *np.concatenate(question.letters).tolist()]
         hugging_face.check_tokens(args.weights, used, networks.text.vocab_size)
     original = TorchReference(model, networks.prepare)
     shown = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
     comparison = LetterComparison(original, shown, asked)
     folder = args.cache / args.card
-    (folder / "onnx").mkdir(parents=True, exist_ok=True)
     digest = hugging_face.weights_sha256(args.weights)
+    with new_files(folder / "onnx") as new:
+        with traced(networks) as traces:
+            files = [save_network(onnx.load(path), new / path.name) for path in traces.values()]
+        report, files = compare_and_place(
+            files, folder / "onnx", "fp32", name, comparison, "torch", not args.no_gate,
+            (digest, None),
+        )  # fmt: skip
     others = _copy_others(args.weights, folder, digest)
-    with traced(networks) as traces:
-        files = [
-            save_network(onnx.load(path), folder / "onnx" / path.name) for path in traces.values()
-        ]
-    report = compare_and_record(
-        files, "fp32", name, comparison, "torch", not args.no_gate, (digest, None)
-    )
     card = {
         "name": name, "task": "choice", "family": args.family or args.card,
         "license": args.license or hugging_face.license_of(args.weights),
@@ -281,7 +276,7 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
     n, n_past = TRACED_TOKENS, TRACED_PAST
     cached_names = [f"{i}.{kind}" for i in range(layers) for kind in ("key", "value")]
     positions = torch.arange(n_past, n_past + n)[None]
-    past_prefix, present_prefix = CACHED
+    past_prefix, present_prefix = "past_key_values.", "present."
     batch_and_tokens = {0: "batch", 1: "tokens"}  # names of the dynamic axes
     deepstack = [f"{DEEPSTACK}{i}" for i in range(networks.deepstack)]
     embedded = torch.zeros(1, n, networks.text.hidden_size)

@@ -6,25 +6,23 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import onnx
 
-from edge.host.files import replace_atomically
 from exporters.onnx_format import check_format
 from exporters.sidecar import write_sidecar
 from exporters.vlm_parity import LetterComparison, LetterReport, OnnxPipeline
 
 VISION, EMBEDDING, DECODER = FILES = ("vision_encoder", "embed_tokens", "decoder_model_merged")
-CACHED = ("past_key_values.", "present.")
-"""Prefixes of the decoder's inputs and outputs for keys and values."""
 LIMITS = {
     "fp32": {"cosine": 0.9999, "rank_agreement": 0.99},
-    "fp16": {"cosine": 0.999, "rank_agreement": 0.97},
     "int8": {"cosine": 0.9, "rank_agreement": 0.9},
     "q4": {"cosine": 0.9, "rank_agreement": 0.8},
-    "q4f16": {"cosine": 0.999, "rank_agreement": 0.8},
 }
 """Smallest allowed figures of `LetterReport`, by precision."""
 ONE_FILE_BYTES = 2_000_000_000
@@ -43,41 +41,52 @@ def save_network(model: onnx.ModelProto, out: Path) -> list[Path]:
         The files: the model first.
     """
     if bytes_of(model) < ONE_FILE_BYTES:
-        with replace_atomically(out) as temporary:
-            onnx.save(model, temporary)
-            check_format(temporary)
+        onnx.save(model, out)
+        check_format(out)
         return [out]
     data = out.with_name(f"{out.name}_data")
-    data.unlink(missing_ok=True)  # onnx would append to it
     onnx.save(
         model, out, save_as_external_data=True, all_tensors_to_one_file=True, location=data.name
     )
     return [out, data]
 
 
-def compare_and_record(
+@contextmanager
+def new_files(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder for new files of `folder`, on the same disk."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
+        yield Path(temporary)
+
+
+def compare_and_place(
     files: list[list[Path]],
+    folder: Path,
     precision: str,
     name: str,
     comparison: LetterComparison,
     against: str,
     gate: bool,
     digests: tuple[str | None, str | None],
-) -> LetterReport:
-    """Compare three files with the model that they were made from, and write their sidecars.
+) -> tuple[LetterReport, list[list[Path]]]:
+    """Compare new files with the model that they were made from; put them and sidecars in `folder`.
 
     Each network has its file, then its weight files. The model answers questions with letters; the
     files' answers are compared with its own. `precision` selects the limits, and `against` names
     the reference. The digests are those of the weights and of the calibration images, if known.
+
+    Returns:
+        The report, and the files in their places.
 
     Raises:
         ExportError: the parity misses its limits, and `gate` is True.
     """
     report = comparison.compare(OnnxPipeline([network for network, *_ in files]))
     report.accept(name, against, LIMITS[precision] if gate else None)
-    for path in itertools.chain(*files):
+    placed = [[path.replace(folder / path.name) for path in one] for one in files]
+    for path in itertools.chain(*placed):
         write_sidecar(path, name, report.figures(), *digests)
-    return report
+    return report, placed
 
 
 def files_of_card(paths: list[list[Path]], folder: Path, others: list[str]) -> dict[str, Any]:

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 MASKED = -1e4
-"""Added to the attention score of positions that must not be seen. -inf would overflow in
-float16."""
+"""Added to the attention score of positions that must not be seen. -inf gives NaN in a row without
+others."""
 
 
 class Decoder(nn.Module):
@@ -123,10 +123,7 @@ class Idefics3Vision(nn.Module):
 
 
 class _Idefics3Places(nn.Module):
-    """Positions of the visible patches: (images, rows, columns) of 0 and 1 → (images, n) int64.
-
-    It is a separate module because its nodes must stay in float32 and are found by name.
-    """
+    """Positions of the visible patches: (images, rows, columns) of 0 and 1 → (images, n) int64."""
 
     def __init__(self, side: int) -> None:
         super().__init__()

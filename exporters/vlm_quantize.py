@@ -15,28 +15,24 @@ from typing import Any
 import numpy as np
 import onnx
 
-from edge.host.files import replace_atomically
 from edge.perception.runtime.card_types import ChoiceCard
 from edge.perception.runtime.cards import card_names, load_card, verify_parts
-from edge.perception.scoring.vlm.files import TOKENIZER, read_files
-from edge.perception.scoring.vlm.pictures import make_prepare
-from exporters import hugging_face
+from edge.perception.scoring.vlm.files import open_tokenizer, read_files
+from edge.perception.scoring.vlm.pictures import PreparedImage, make_prepare
+from edge.perception.scoring.vlm.prompt import find_image_token
+from exporters.calibration import Feed
 from exporters.files import ExportError, write_card
-from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import digest_of, read_rgb
-from exporters.onnx_format import check_format
 from exporters.quantize import pictures, quantize, require_calibration
-from exporters.recipes import TRANSFORMER, Recipe, nodes_like
+from exporters.recipes import TRANSFORMER
 from exporters.vlm_files import (
-    CACHED,
-    DECODER,
-    EMBEDDING,
     FILES,
     ONE_FILE_BYTES,
     VISION,
     bytes_of,
-    compare_and_record,
+    compare_and_place,
     files_of_card,
+    new_files,
     save_network,
 )
 from exporters.vlm_parity import (
@@ -45,32 +41,17 @@ from exporters.vlm_parity import (
     LetterReport,
     OnnxPipeline,
     Question,
-    position_ids_of,
     questions,
 )
 from exporters.weight_only import quantize_weights
 
 FP32 = "fp32"  # precision of the source
 OUT = "quantized"  # folder of the variants
-PRECISIONS = {
-    "fp16": ("fp16", "fp16", "fp16"),
-    "int8": ("int8", "int8", "int8"),
-    "q4": ("int8", "int8", "q4"),
-    "q4f16": ("fp16", "fp16", "q4f16"),
-}
+PRECISIONS = {"int8": ("int8", "int8", "int8"), "q4": ("int8", "int8", "q4")}
 """Precisions of vision encoder, token embedding and decoder, by the card's precision.
 
 `int8` is static for the vision encoder and weight-only for the others; `q4` is weight-only.
 """
-RECIPES = {
-    VISION: Recipe(not_fp16=(r"^/places/",)),
-    EMBEDDING: Recipe(),
-    DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"norm/")),
-}
-"""Nodes that stay in float32, by the network. In float16 the rotary angle of position 1000 has no
-fraction left, and the square of a decoder's hidden value overflows."""
-HALF_PICTURES = 8
-"""Number of images for the check which of the decoder's values are too large for float16."""
 
 
 def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
@@ -104,124 +85,72 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     shown = [original.show(read_rgb(path)) for path in validation]
     comparison = LetterComparison(original, shown, asked)
     fp32 = dict(zip(FILES, map(card.path_of, card.networks), strict=True))
-    (card.path / OUT).mkdir(exist_ok=True)
-    builder = VariantBuilder(fp32, original, asked[0], calibration, card.path / OUT)
+    feeds = [original.prepare(read_rgb(path)) for path in calibration]
     others = [part.file for part in card.others if not part.file.startswith("onnx/")]
+    made: dict[str, list[Path]] = {}  # by the file's name: several precisions share some
     reports = {}
-    for precision, name in wanted.items():
-        files = [builder.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
-        reports[name] = compare_and_record(
-            files, precision, name, comparison, card.name, not args.no_gate,
-            (None, digest_of(calibration)),
-        )  # fmt: skip
-        card_data = {
-            **card.model_dump(mode="json", include={"task", "family", "license", "folder",
-                                                    "image_tokens", "max_tokens"}),
-            "name": name, "precision": precision, "derived_from": card.name,
-            **files_of_card(files, card.path, others),
-            "measured": {f"against {card.name}": reports[name].figures()},
-        }  # fmt: skip
-        write_card(card_data, args.cache)
+    with new_files(card.path / OUT) as new:
+        for precision, name in wanted.items():
+            parts = {
+                f"{n}_{p}.onnx": (n, p) for n, p in zip(FILES, PRECISIONS[precision], strict=True)
+            }
+            for file, (network, bits) in parts.items():
+                if file not in made:
+                    images = feeds if network == VISION else []
+                    made[file] = make_variant(fp32[network], new / file, bits, images)
+            reports[name], files = compare_and_place(
+                [made[file] for file in parts], card.path / OUT, precision, name, comparison,
+                card.name, not args.no_gate, (None, digest_of(calibration)),
+            )  # fmt: skip
+            made |= zip(parts, files, strict=True)
+            card_data = {
+                **card.model_dump(mode="json", include={"task", "family", "license", "folder",
+                                                        "image_tokens", "max_tokens"}),
+                "name": name, "precision": precision, "derived_from": card.name,
+                **files_of_card(files, card.path, others),
+                "measured": {f"against {card.name}": reports[name].figures()},
+            }  # fmt: skip
+            write_card(card_data, args.cache)
     return reports
 
 
-class VariantBuilder:
-    """Makes variants of the FP32 files, each once: several precisions of a model share some.
+def make_variant(fp32: Path, out: Path, precision: str, images: list[Feed]) -> list[Path]:
+    """Write the file of a network in a precision; return it and its weight files.
 
-    Args:
-        fp32: the three files, by name.
-        original: the FP32 model.
-        asked: question for the check which of the decoder's values are too large for float16.
-        calibration: images to calibrate on.
+    `images` are inputs to calibrate a vision encoder on; [] for the other networks.
     """
-
-    def __init__(
-        self,
-        fp32: dict[str, Path],
-        original: OnnxReference,
-        asked: Question,
-        calibration: list[Path],
-        folder: Path,
-    ) -> None:
-        self._fp32, self._folder = fp32, folder
-        self._made: dict[tuple[str, str], list[Path]] = {}
-        few = [original.show(read_rgb(path)) for path in calibration[:HALF_PICTURES]]
-        self._feeds = {
-            VISION: [original.prepare(read_rgb(path)) for path in calibration],
-            EMBEDDING: [{"input_ids": asked.ids(1)}],
-            DECODER: [original.decoder_feeds(asked, shown) for shown in few],
-        }
-
-    def make(self, name: str, precision: str) -> list[Path]:
-        """Return the file of a network in a precision, and its weight files."""
-        if (name, precision) not in self._made:
-            out = self._folder / f"{name}_{precision}.onnx"
-            print(f"{out.name}: making it", file=sys.stderr)
-            self._made[name, precision] = self._make(name, precision, out)
-        return self._made[name, precision]
-
-    def _make(self, name: str, precision: str, out: Path) -> list[Path]:
-        """Write the file of a network in a precision; return it and its weight files."""
-        fp32, feeds = self._fp32[name], self._feeds[name]
-        model = onnx.load(fp32)
-        # A larger model cannot be run to find its ranges: it would have to be one file.
-        fits_one_file = bytes_of(model) < ONE_FILE_BYTES
-        if name == VISION and precision == "int8" and fits_one_file:
-            with replace_atomically(out) as temporary:
-                quantize(fp32, temporary, feeds, TRANSFORMER, "int8-cpu")
-                check_format(temporary)
-            return [out]
-        if precision in ("fp16", "q4f16"):
-            recipe = RECIPES[name]
-            if feeds and fits_one_file:
-                in_fp32 = kept_nodes(model, feeds, recipe)
-            else:
-                in_fp32 = set(nodes_like(model, recipe.not_fp16))
-            model = to_fp16(model, in_fp32, float16_io_prefixes=CACHED)
-            if precision == "q4f16":
-                model = quantize_weights(model, "q4")
-        else:
-            model = quantize_weights(model, precision)
-        return save_network(model, out)
+    print(f"{out.name}: making it", file=sys.stderr)
+    model = onnx.load(fp32)
+    # A larger model cannot be run to find its ranges: it would have to be one file.
+    if images and precision == "int8" and bytes_of(model) < ONE_FILE_BYTES:
+        quantize(fp32, out, images, TRANSFORMER, "int8-cpu")
+        return [out]
+    return save_network(quantize_weights(model, precision), out)
 
 
 class OnnxReference:
-    """The FP32 files of a card, as the reference of `exporters.vlm_parity.LetterComparison`.
-
-    Attributes:
-        merge: side, in patches, of the square of the image that one token stands for.
-    """
+    """The FP32 files of a card, as the reference of `exporters.vlm_parity.LetterComparison`."""
 
     def __init__(self, card: ChoiceCard) -> None:
         files = read_files(card)
-        self._chain = OnnxPipeline([card.path_of(part) for part in card.networks])
-        found = files.config.get("image_token_id", files.config.get("image_token_index"))
-        text = hugging_face.open_tokenizer(card.path / TOKENIZER).id_to_token(found or 0)
-        if not isinstance(found, int) or text is None:
-            raise ExportError(
-                f"{card.path}: config.json: image_token_id {found!r} is not a token of {TOKENIZER}"
-            )
-        self.image_token = found
-        self.merge = int(files.image.get("merge_size", 1))
+        self._pipeline = OnnxPipeline([card.path_of(part) for part in card.networks])
+        self.image_token, text = find_image_token(files, open_tokenizer(files))
         self._prepare = make_prepare(files, text, card.image_tokens)
 
     def prepare(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
         """Return inputs of the vision encoder's ONNX for an image, (h, w, 3) uint8."""
-        feeds = self._prepare(rgb).feeds
-        return {name: feeds[name] for name in self._chain.vision_inputs}
+        return self._inputs(self._prepare(rgb))
+
+    def _inputs(self, prepared: PreparedImage) -> dict[str, np.ndarray]:
+        """Return those arrays of a prepared image that the vision encoder takes."""
+        return {name: prepared.feeds[name] for name in self._pipeline.vision_inputs}
 
     def show(self, rgb: np.ndarray) -> EncodedImage:
         """Preprocess and encode an image, (h, w, 3) uint8."""
-        feeds = self.prepare(rgb)
-        return EncodedImage(feeds, self._chain.features(feeds))
+        prepared = self._prepare(rgb)
+        feeds = self._inputs(prepared)
+        return EncodedImage(feeds, self._pipeline.features(feeds), prepared.grid)
 
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return (v,) float32 of the token after the question."""
-        return self._chain.logits(question, shown.features, shown.grid, self.merge)
-
-    def decoder_feeds(self, question: Question, shown: EncodedImage) -> dict[str, np.ndarray]:
-        """Return the decoder's inputs for the entire question, with an empty cache."""
-        ids = question.ids(len(shown.features))
-        positions = position_ids_of(ids, question.image, shown.grid, self.merge)
-        rows = self._chain.rows(ids, question.image, shown.features)
-        return self._chain.decoder_feeds(rows, positions)
+        return self._pipeline.logits(question, shown.features, shown.grid)

@@ -82,9 +82,7 @@ def test_from_a_published_folder_to_the_running_service(
     assert "my-vlm-fp32: ok (hashes of " in says(robot, "list", "--check", "my-vlm-fp32")
 
     how = ["--calibration", pictures, "--no-gate"]
-    content = says(
-        robot, "export", "--quantize", "my-vlm-fp32", "--precision", "q4", "int8", "q4f16", *how
-    )
+    content = says(robot, "export", "--quantize", "my-vlm-fp32", "--precision", "q4", "int8", *how)
     assert "my-vlm-q4 against my-vlm-fp32:" in content
     made = yaml.safe_load((robot / "my-vlm-q4.yaml").read_text())
     assert made["derived_from"] == "my-vlm-fp32"
@@ -96,13 +94,11 @@ def test_from_a_published_folder_to_the_running_service(
     whole, small = (robot / "my-vlm" / some["decoder"]["file"] for some in (card, made))
     assert small.stat().st_size < 0.7 * whole.stat().st_size
     assert "my-vlm-q4: ok (hashes of " in says(robot, "list", "--check", "my-vlm-q4")
-    for precision in ("int8", "q4f16"):
-        name = f"my-vlm-{precision}"
-        assert f"{name}: ok (hashes of " in says(robot, "list", "--check", name)
+    assert "my-vlm-int8: ok (hashes of " in says(robot, "list", "--check", "my-vlm-int8")
 
     bench = ["--images", pictures, "--frames", "2", "--threads", "1", "--providers", "cpu"]
     table = says(robot, "--models", "my-vlm", *bench, of="bench")
-    for name in ("my-vlm-fp32", "my-vlm-q4", "my-vlm-int8", "my-vlm-q4f16"):
+    for name in ("my-vlm-fp32", "my-vlm-q4", "my-vlm-int8"):
         assert re.search(rf"^{name} +cpu +\d", table, re.MULTILINE), table
 
     choice = {"kind": "onnx", "card": "my-vlm-fp32", "threads": 1, "time_limit_s": 60}
@@ -131,7 +127,7 @@ def test_an_unsuitable_model_is_refused_in_one_line(edge, pictures, tmp_path):
     blind = {**card, "name": "blind-fp32", "vision_encoder": None, "embed_tokens": None}
     (models / "blind-fp32.yaml").write_text(yaml.safe_dump(blind))
     for name, precision, why in [
-        ("my-vlm-fp32", "q5", "--precision: no precision 'q5' (choices: fp16, int8, q4, q4f16)"),
+        ("my-vlm-fp32", "q5", "--precision: no precision 'q5' (choices: int8, q4)"),
         (
             "my-vlm-fp32",
             "int8",

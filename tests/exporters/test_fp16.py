@@ -9,6 +9,7 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 import onnx
+from onnx import helper
 from small_net import RECIPE, build, feeds, run
 
 from exporters.files import ExportError
@@ -65,11 +66,22 @@ def test_values_too_large_for_float16_stay_float32(tmp_path):
         np.testing.assert_allclose(got, exact, rtol=0.01, atol=1e-4)
 
 
-def test_without_images_there_is_nothing_to_see(tmp_path):
-    fp32 = build(tmp_path / "fp32.onnx")
-    with pytest.raises(ExportError, match="needs images"):
-        write_fp16(fp32, tmp_path / "fp16.onnx", [], RECIPE)
-    assert not (tmp_path / "fp16.onnx").exists()
+def test_a_token_id_beyond_float16_leaves_its_embeddings_float16(tmp_path):
+    """Ids are integers, which are not converted: CLIP's end of text is 49407."""
+    single, whole = onnx.TensorProto.FLOAT, onnx.TensorProto.INT64
+    table = np.random.default_rng(0).normal(size=(20_000, 8)).astype(np.float32)
+    graph = helper.make_graph(
+        [helper.make_node("Gather", ["table", "tokens"], ["rows"], "embed")],
+        "tokens",
+        [helper.make_tensor_value_info("tokens", whole, (1, 2))],
+        [helper.make_tensor_value_info("rows", single, (1, 2, 8))],
+        [onnx.numpy_helper.from_array(table, "table")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=10)
+    fp32, half = tmp_path / "fp32.onnx", tmp_path / "fp16.onnx"
+    onnx.save(model, fp32)
+    write_fp16(fp32, half, [{"tokens": np.array([[5, 15_000]])}], Recipe())
+    assert elements(half)["table"] == onnx.TensorProto.FLOAT16
 
 
 def test_a_recipe_must_exist_and_match_a_node(tmp_path):

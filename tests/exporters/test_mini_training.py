@@ -184,8 +184,6 @@ def test_an_invalid_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--houses", "0"], "--houses: got 0; give at least 1"),
-        (["--cores", "0"], "--cores: got 0; give at least 1"),
         (["--cores", "3"], "--cores: got 3; give a number that divides the batch size 32"),
         (["--houses", "1", "--seed", "4"], "use another --out"),
     ],
@@ -196,6 +194,13 @@ def test_invalid_options_are_refused_before_rendering(run_of, capsys, monkeypatc
     (error,) = capsys.readouterr().err.splitlines()
     assert error.startswith("error: ")
     assert says in error
+
+
+@pytest.mark.parametrize("option", ["--houses", "--cores"])
+def test_a_count_below_one_is_refused(tmp_path, capsys, option):
+    with pytest.raises(SystemExit):
+        main(["--out", str(tmp_path), option, "0"])
+    assert f"{option}: expected an integer from 1, got 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

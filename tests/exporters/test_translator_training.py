@@ -104,5 +104,6 @@ def test_the_command_leaves_a_file_and_its_card(
     assert sum(card.measured["lang2ltl, not seen, model"].values()) == 1
     check_file(tmp_path / f"{NAME}.onnx", card)
     assert yaml.safe_load(capsys.readouterr().out) == card.measured
-    assert main(["--out", str(tmp_path), "--steps", "0"]) == 1
-    assert "--steps: got 0; give at least 1" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["--out", str(tmp_path), "--steps", "0"])
+    assert "--steps: expected an integer from 1, got 0" in capsys.readouterr().err

@@ -83,7 +83,7 @@ def test_weights_that_were_pulled_are_exported(started):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"), [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])]
+    ("given", "told"), [([], ["q4"]), (["--precision", "int8", "q4"], ["int8", "q4"])]
 )
 def test_variants_of_a_language_model_derive_from_its_fp32(started, monkeypatch, given, told):
     monkeypatch.setattr(make, "verify_parts", lambda card: None)

@@ -32,7 +32,7 @@ from edge.loop import stages
 log = logging.getLogger("edge.lab.bench.service")
 
 RECORDING_S = 60.0  # length of the built-in recording
-_VERSION = 1  # of the built-in recording; a new number makes it again
+_VERSION = 2  # of the built-in recording; a new number makes it again
 _PLAYER_S = 60.0  # longest wait for the first observation of a recording
 
 Message = tuple[Topic, int, bytes]

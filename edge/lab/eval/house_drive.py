@@ -16,7 +16,7 @@ from edge.config import Config, WorldHouse
 from edge.lab.motion.controller import Controller
 from edge.lab.sim.base import World, free_poses
 from edge.lab.sim.robot import DriveTrain, MotionState
-from edge.lab.sim.sensors import CameraRig, odometry_message
+from edge.lab.sim.sensors import make_rigs, odometry_message
 from edge.lab.sim.worlds import load_world
 
 _START_NS = 1_000_000_000  # stamp of the first message
@@ -27,21 +27,21 @@ _STOPS = 40  # number of random poses to drive to
 def house_drive(config: Config, seconds: float) -> Iterator[tuple[Topic, int, bytes]]:
     """Yield the messages of a robot that drives from room to room, in order of time.
 
-    They are (topic, stamp in ns, CDR or JSON payload) of the camera and the odometry, each at its
+    They are (topic, stamp in ns, CDR or JSON payload) of the sensors and the odometry, each at its
     rate. The world is the built-in house; the sensors and the robot are those of `config`.
     """
     sim = config.sim.model_copy(update={"world": WorldHouse(), "start": None})
     config = config.model_copy(update={"sim": sim})
     world = load_world(config)
-    rig = CameraRig(config, world)
-    frame_ns = int(1e9 / config.sensors.camera.rate_hz)
-    frame_due_ns = _START_NS
+    rigs = make_rigs(config, world)
+    due_ns = [_START_NS] * len(rigs)
     for motion in _drive(config, world, seconds):
         batch = [odometry_message(motion)]
-        if motion.stamp_ns >= frame_due_ns:
-            frame_due_ns += frame_ns
-            rig.look(motion.pose)
-            batch += [*rig.description(motion.stamp_ns), *rig.messages(motion.stamp_ns)]
+        for k, rig in enumerate(rigs):
+            if motion.stamp_ns >= due_ns[k]:
+                due_ns[k] += int(1e9 / rig.rate_hz)
+                rig.look(motion.pose)
+                batch += [*rig.description(motion.stamp_ns), *rig.messages(motion.stamp_ns)]
         for topic, payload in batch:
             yield topic, motion.stamp_ns, payload
 

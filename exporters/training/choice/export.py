@@ -180,7 +180,7 @@ def put_in_place(run: Path, out: Path, command: str, houses: int) -> None:
     net = ChoiceNet(len(looks.CATEGORIES))
     state = checkpoints.averaged(run / "checkpoint.pt", net)
     trunk, model = Trunk(DETECTOR_FILE, TEXT_FILE), run / f"{NAME}.onnx"
-    # `SEED.npz` holds views; `SEED.features.npz` next to it is left out.
+    # `SEED.npz` holds views; `SEED.HASH.npz` next to it, their features, is left out.
     paths = [path for path in (run / "held-out").glob("*.npz") if path.stem.isdigit()]
     export(net, trunk, model)
     training = {

@@ -16,6 +16,7 @@ from onnx import numpy_helper
 from onnx.utils import Extractor
 
 from edge.host.files import replace_atomically
+from exporters.files import sha256_of
 from exporters.images import as_input
 from exporters.onnx_format import cpu_session
 from exporters.training.choice.collect import load_views
@@ -62,12 +63,13 @@ class Trunk:
         level_scales: scales of the levels in `Features.neck16` and `neck32`. The first is a quarter
             of the quantizer's, so it turns the sum of four cells into their mean.
         words: (c, 64) float32, unit rows of `looks.CATEGORIES`.
+        key: beginning of the detector's hash, which the names of stored features have.
     """
 
     def __init__(self, detector: Path, text: Path) -> None:
         from exporters.training.mini import looks
 
-        full = onnx.load(detector)
+        full, self.key = onnx.load(detector), sha256_of(detector)[:8]
         values = {t.name: t for t in full.graph.initializer}
 
         def number(name: str) -> float:
@@ -127,7 +129,7 @@ _STORED = {"evidence": np.uint8, "near": np.uint16, "far": np.uint8}
 
 def _read_or_make(path: Path, trunk: Trunk) -> Features:
     """Return the features of one file of views; compute and store them if they are not stored."""
-    stored = path.with_suffix(".features.npz")
+    stored = path.with_suffix(f".{trunk.key}.npz")
     if not stored.is_file():
         views = load_views([path])
         read = [

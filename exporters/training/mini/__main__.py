@@ -15,7 +15,8 @@ import logging
 import sys
 from functools import partial
 
-from exporters.files import at_least_one, exit_on_user_error
+from edge.cli.options import count
+from exporters.files import exit_on_user_error
 from exporters.training.results import training_parser
 
 HOUSES, CORES = 3000, 2  # defaults of the options
@@ -28,9 +29,9 @@ def main(argv: list[str] | None) -> None:
     parser = training_parser("mini", "train the small detector on images of random houses",
                              "images and weights, 8.1 GB with the default number of houses")
     option = parser.add_argument
-    option("--houses", type=int, default=HOUSES,
+    option("--houses", type=count, default=HOUSES,
            help="number of houses to train on, with 2.7 MB of images each")
-    option("--cores", type=int, default=CORES,
+    option("--cores", type=count, default=CORES,
            help="number of processes that render, and train without a GPU")
     option("--device", help="device to train on, such as cpu or cuda (default: cuda if there is a "
            "GPU)")
@@ -38,7 +39,6 @@ def main(argv: list[str] | None) -> None:
            help="publish the model even if its scores are below the required ones")
     # fmt: on
     args = parser.parse_args(argv)
-    at_least_one(args, "houses", "cores")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     _train(args)
 

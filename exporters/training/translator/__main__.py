@@ -16,7 +16,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from exporters.files import at_least_one, exit_on_user_error, sha256_of
+from edge.cli.options import count
+from exporters.files import exit_on_user_error, sha256_of
 from exporters.training.results import publish, training_parser
 
 NAME = "mini-translator"
@@ -38,13 +39,12 @@ def main(argv: list[str] | None) -> None:
            "symbolic_batch12_noperm.csv (default: not)")
     option("--clean-up", type=Path,
            help="also learn from Clean-up World's set of instructions (default: not)")
-    option("--steps", type=int, default=COMPOSED.steps,
+    option("--steps", type=count, default=COMPOSED.steps,
            help="training steps on composed sentences")
-    option("--people-steps", type=int, default=PEOPLE.steps,
+    option("--people-steps", type=count, default=PEOPLE.steps,
            help="training steps after that, with sentences of people, too")
     # fmt: on
     args = parser.parse_args(argv)
-    at_least_one(args, "steps", "people_steps")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     _train(args)
 

@@ -7,6 +7,7 @@ import threading
 import pytest
 from simulated import simulated
 
+from edge.bus import topics
 from edge.errors import Stopped, UserError
 from edge.lab.bench import service as bench
 from edge.sources import recording
@@ -54,6 +55,17 @@ def test_the_service_is_measured_on_a_recording():
     verdicts = figures["verdicts"]
     assert 50 < verdicts["resident memory"][0] < 2000
     assert verdicts["ready after"][0] > 1.0
+
+
+def test_a_service_with_a_lidar_is_measured_on_its_recording():
+    lidar = {"rings": 16, "columns": 90, "vfov_deg": 60, "rate_hz": 10}
+    config = simulated(
+        {"sensors": {"camera": SMALL, "lidar": lidar}, "mapping": {"input": "cloud"}}
+    )
+    path = bench.ensure_recording(config, 3.0)
+    assert sum(message.topic is topics.CLOUD for message in recording.read(path)) == 30
+    figures = bench.run_bench(config, path, 1.5, threading.Event(), 1.0)
+    assert figures["counters"]["observations"] > 1
 
 
 def test_nothing_measured_is_an_error(tmp_path):

@@ -31,7 +31,7 @@ class Prompter:
         self.tokenizer = open_tokenizer(files)
         self.image_id, self.image_token = -1, ""
         if files.image is not None:
-            self.image_id, self.image_token = _image_token(files, self.tokenizer)
+            self.image_id, self.image_token = find_image_token(files, self.tokenizer)
         self._render = _compile(files)
 
     def text(self, rules: str, view: str | None, question: str) -> str:
@@ -74,7 +74,7 @@ class Prompter:
         return np.array(self.tokenizer.encode(text, add_special_tokens=False).ids, np.int64)
 
 
-def _image_token(files: ModelFiles, tokenizer: Any) -> tuple[int, str]:
+def find_image_token(files: ModelFiles, tokenizer: Any) -> tuple[int, str]:
     """Return id and text of the image token; raise ModelError if the tokenizer does not have it."""
     found = files.config.get("image_token_id", files.config.get("image_token_index"))
     token = tokenizer.id_to_token(found) if isinstance(found, int) and found >= 0 else None
