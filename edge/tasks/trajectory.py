@@ -17,6 +17,7 @@ from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M
 from edge.tasks.scene.ground import ESCAPE_M, ReachableGround
+from edge.tasks.scene.value_map import IN_ZONE
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS
 
@@ -198,6 +199,8 @@ def _reason_not_reachable(ground: ReachableGround, cell: tuple[int, int]) -> str
     occupied = ground.scene.occupancy.cells[cell]
     if occupied < 0 and not ground.scene.regions_grid.cells[cell]:
         return "was never seen to be free"
+    if occupied == IN_ZONE:
+        return "is in a zone that is closed to the robot"
     return "is occupied" if occupied > 0 else "is too close to what is occupied"
 
 

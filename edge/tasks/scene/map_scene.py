@@ -9,6 +9,7 @@ import numpy as np
 from edge import names
 from edge.geometry import SE2, Grid, invert
 from edge.mapping.grid import RollingMap
+from edge.mapping.layers import ZONE
 from edge.mapping.view import MapView
 from edge.tasks.scene import terrain
 from edge.tasks.scene.captions import caption_with_place
@@ -17,7 +18,7 @@ from edge.tasks.scene.ground import reachable
 from edge.tasks.scene.ground_votes import GroundVotes
 from edge.tasks.scene.objects import SAME_SHARE, MapObject, ObjectMap, box_around, overlap_share
 from edge.tasks.scene.scene import Scene, SceneObject
-from edge.tasks.scene.value_map import open_cells
+from edge.tasks.scene.value_map import IN_ZONE, open_cells
 from edge.types import Detections, Instance, Observation
 
 _FLOOR = "floor"  # label of free ground without another name
@@ -51,7 +52,7 @@ def scene_of_map(
         [instance for instance in instances if len(instance.points_m)], object_map or ObjectMap()
     )
     contours = {} if found is None else _contours_by_object(objects, found)
-    occupancy = terrain.with_blind_spot(uninflated(view), observation.pose)
+    occupancy = terrain.with_blind_spot(uninflated(view, observation.pose), observation.pose)
     kind, labels = None, (_FLOOR,)
     if ground is not None:
         labels = (*ground.kinds, _FLOOR)
@@ -160,11 +161,18 @@ def scene_object(obj: MapObject, pose: SE2, regions: Grid, allowed: np.ndarray) 
     )  # fmt: skip
 
 
-def uninflated(view: RollingMap | MapView) -> Grid:
-    """Return a map without inflation: inflated cells become free or unknown, as observed."""
+def uninflated(view: RollingMap | MapView, pose: SE2) -> Grid:
+    """Return a map without inflation: inflated cells become free or unknown, as observed.
+
+    Cells that zones close are `IN_ZONE`, unless the robot itself is in a zone: it must get out.
+    """
     grid, n = view.snapshot(_INFLATED_VALUE), view.window.n
-    rows, columns = np.nonzero(grid.cells == _INFLATED_VALUE)
     corner = np.rint(np.array(grid.origin_xy_m) / grid.resolution_m).astype(np.int64)
-    seen = view.layers.raw[(rows + corner[1]) % n, (columns + corner[0]) % n] > 0
-    grid.cells[rows, columns] = np.where(seen, 0, -1)
+    height, width = grid.cells.shape
+    at = np.ix_((np.arange(height) + corner[1]) % n, (np.arange(width) + corner[0]) % n)
+    inflated = grid.cells == _INFLATED_VALUE
+    grid.cells[inflated] = np.where(view.layers.raw[at][inflated] > 0, 0, -1)
+    closed, robot = view.layers.near[at] & ZONE != 0, grid.cell_of(pose.x_m, pose.y_m)
+    if robot is not None and not closed[robot]:
+        grid.cells[closed & (grid.cells <= 0)] = IN_ZONE
     return grid

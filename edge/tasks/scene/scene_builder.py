@@ -133,7 +133,9 @@ class SceneBuilder:
         """
         if self._newest is None:
             raise ValueError("no frame was added; call SceneBuilder.add first")
-        occupancy = terrain.with_blind_spot(uninflated(self.map), self._newest.pose)
+        occupancy = terrain.with_blind_spot(
+            uninflated(self.map, self._newest.pose), self._newest.pose
+        )
         kind, labels = None, self._ground.kinds
         if labels:
             kind = self._ground.classify(occupancy, self._newest.pose)
