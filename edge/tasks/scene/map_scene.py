@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -68,14 +69,14 @@ def _free_ground(occupancy: Grid, pose: SE2) -> np.ndarray:
 
 
 def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> list[MapObject]:
-    """Return the instances with all points that were seen of them.
+    """Return the instances with all points that were seen of them, and with their captions.
 
     Instances of one object are merged, under the first of their ids.
     """
     objects: dict[int, MapObject] = {}
     for instance in sorted(instances, key=lambda instance: instance.id):
         # Key of the result: the id in the object map, or minus the id of an instance without one.
-        points_m, key = instance.points_m, -instance.id
+        points_m, key, captions = instance.points_m, -instance.id, Counter[str]()
         same_name = [
             obj for obj in object_map.objects.values() if names.same_name(obj.label, instance.label)
         ]
@@ -83,10 +84,12 @@ def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> li
         if share and max(share) >= SAME_SHARE:
             obj = same_name[int(np.argmax(share))]
             points_m, key = object_map.confirmed_points_m(obj), obj.id
+            captions = obj.captions.get(obj.label, captions)
         merged = MapObject(
             instance.id,
             {instance.label: instance.score},
             points_m,
+            {instance.label: captions},
             score=instance.score,
             hits=instance.hits,
         )

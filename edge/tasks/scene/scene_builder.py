@@ -17,6 +17,7 @@ from edge.geometry import invert
 from edge.mapping.grid import RollingMap
 from edge.perception.detection.detector import check_rgb
 from edge.tasks.scene import terrain
+from edge.tasks.scene.captions import compose_captions
 from edge.tasks.scene.frames import (
     cloud_of,
     contours_of,
@@ -230,7 +231,7 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
     ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, range_m)
     above = terrain.height_above(ground, points_m)
     around, sensor_m = found.context_detections(), (observation.T_map_base @ T_base_cloud)[:3, 3]
-    keep = above > OFF_GROUND_M
+    keep, caption = above > OFF_GROUND_M, compose_captions(found)
     smallest_px2 = np.full(len(points_m), np.inf)  # area of another object's box around the point
     if around is not None:
         for indices, area_px2 in points_in_boxes(around, cloud_m, T_base_cloud, keep):
@@ -239,7 +240,7 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
         label, is_own = found.prompts[found.class_id[i]], smallest_px2[indices] >= area_px2
         points = points_m[indices[is_own]]
         points = points[main_clusters(points, sensor_m, has_mask(found, i))]
-        obj = objects.add(label, points, score=float(found.score[i]), picture=observation.seq)
+        obj = objects.add(label, points, caption[i], float(found.score[i]), picture=observation.seq)
         objects.vote(label, points, 1)
         objects.vote(label, points_m[indices[~is_own]], -1)
         if obj is not None:
