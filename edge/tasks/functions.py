@@ -37,7 +37,7 @@ from edge.trajectory.smoothing import resample
 MOST_CAPTION_CHARS = 200
 """Longest label or caption that a script or a model sees."""
 MOST_SHOWN = 10
-"""Most trajectories that `visual_3d` shows."""
+"""Most trajectories that `visual_3d` accepts."""
 MOST_DETECTIONS = 4
 """Most names that scripts have detected for one instruction."""
 MOST_PATH_POINTS = 1000
@@ -147,7 +147,7 @@ class ScriptFunctions:
         return _points(found.path_m)
 
     def visual_3d(self, points: Any) -> None:
-        """Show a trajectory in the scene, without driving it."""
+        """Accept a trajectory without driving it, for scripts of OpenNav. Nothing shows it."""
         if len(self.shown_trajectories) == MOST_SHOWN:
             raise CallError(
                 f"visual_3d: {MOST_SHOWN} trajectories are shown already; more are not allowed"
