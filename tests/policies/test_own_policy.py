@@ -28,7 +28,7 @@ def block(language: str) -> str:
     return found
 
 
-def test_the_page_names_only_what_the_map_has():
+def test_the_page_names_only_attributes_of_the_map():
     (row,) = re.findall(r"^\| `map` \|.*$", PAGE, re.M)
     names = [name.split(".")[0] for name in re.findall(r"`([\w.]+)`", row)]
     view = MapView(RollingMap(MappingConfig()))
