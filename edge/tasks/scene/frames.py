@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from edge.geometry import invert
-from edge.tasks.scene.projection import points_of_masks
+from edge.tasks.scene.projection import in_picture, points_of_masks
 from edge.types import Detections, Observation
 
 _MARGIN_SHARE = 0.05
@@ -80,12 +80,10 @@ def outside_boxes(
     found: Detections, label: str, cloud_m: np.ndarray, T_base_cloud: np.ndarray
 ) -> np.ndarray:
     """Return the points in the picture that are clearly outside every box of a label, (n,) bool."""
-    observation, camera = found.observation, found.observation.camera
-    x, y, z = transformed(invert(observation.T_base_camera) @ T_base_cloud, cloud_m).T
-    ahead = z > 0.0
-    z = np.where(ahead, z, 1.0)
-    u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
-    outside = ahead & (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
+    observation = found.observation
+    T_camera_cloud = invert(observation.T_base_camera) @ T_base_cloud
+    at_px, outside = in_picture(cloud_m, T_camera_cloud, observation.camera)
+    u, v = at_px.T
     for box_px, k in zip(found.xyxy_px, found.class_id, strict=True):
         if found.prompts[k] == label:
             x0, y0, x1, y1 = box_px.tolist()
