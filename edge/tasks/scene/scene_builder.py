@@ -304,7 +304,7 @@ def _add_result(
         points = points[main_clusters(points, sensor_m, has_mask(found, i))]
         obj = objects.add(
             found.prompts[found.class_id[i]], points, result.caption[i], float(found.score[i]),
-            None if result.embedding is None else result.embedding[i], seen.seq,
+            seen.seq,
         )  # fmt: skip
         if obj is not None:
             yield i, obj
