@@ -46,26 +46,13 @@ def cut_into_legs(
     """Split the coarse trajectory into legs: its segments, cut where they turn by `TURN_RAD`.
 
     Args:
-        segments: (n, 2 or 3) points each.
+        segments: (n, 2 or 3) points each, n >= 1, as `trajectory.coarse_of` makes them.
         start_xy_m: place of the robot.
         tube_m: deviations from a straight line of less than half of this are not turns.
-
-    Raises:
-        RefineError: there is no segment, a segment has no points, or a point is not finite.
     """
     legs: list[Leg] = []
     last = np.array([*start_xy_m, 0.0])
-    for number, segment in enumerate(segments, start=1):
-        points = np.asarray(segment, np.float64)
-        if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
-            raise RefineError(
-                f"segment {number} of the trajectory: expected n points as an array (n, 2) or "
-                f"(n, 3), got {points.shape}; ask for the trajectory again"
-            )
-        if not np.isfinite(points).all():
-            raise RefineError(
-                f"segment {number} of the trajectory has NaN or inf; ask for the trajectory again"
-            )
+    for points in segments:
         points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
         # Index k of the polyline with `last` in front is the end of `points[:k]`.
         bends = _bends(np.concatenate([last[None], points]), 0.5 * tube_m)
@@ -73,8 +60,6 @@ def cut_into_legs(
             legs.append(Leg(part, ends_segment=False))
         legs[-1] = Leg(legs[-1].points_m, ends_segment=True)
         last = points[-1]
-    if not legs:
-        raise RefineError("the trajectory has no segment; ask for the trajectory again")
     return tuple(legs)
 
 

@@ -92,7 +92,7 @@ def refine(
         heading_rad: heading of the last pose; None: along the path.
 
     Raises:
-        RefineError: points are invalid, an end cannot be reached, or the robot is shut in.
+        RefineError: an end cannot be reached, or the robot is shut in.
     """
     legs = cut_into_legs(segments, (scene.pose.x_m, scene.pose.y_m), margins.tube_m)
     chosen = frozenset(drivable) or frozenset(scene.regions)

@@ -96,7 +96,7 @@ def coarse_of(
 def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryLimits) -> None:
     """Check that a trajectory may be refined and driven.
 
-    Each point must be finite, in the map, reachable, and clear of occupied cells. The step from the
+    Each point must be in the map, reachable, and clear of occupied cells. The step from the
     robot to the first point, and each step between points, must be at most `max_jump_m` long with
     nothing occupied in between. Within `ESCAPE_M` of the robot, points may be closer to an
     obstacle.
@@ -106,10 +106,6 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
             point.
     """
     scene = ground.scene
-    if not coarse.segments:
-        raise TrajectoryError("the trajectory has no segments")
-    if empty := [k for k, points in _enumerate_from_1(coarse.segments) if not len(points)]:
-        raise TrajectoryError(f"segment {empty[0]} of the trajectory has no points")
     for k, points in _enumerate_from_1(coarse.segments):
         _check_points(points, k, ground)
     if unknown := [region for region in coarse.regions if region not in scene.regions]:
@@ -173,8 +169,6 @@ def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> 
     scene, occupancy = ground.scene, ground.scene.occupancy
     for i, (x, y, *z) in _enumerate_from_1(points.tolist()):
         where = f"point {i} of segment {segment}, ({x:g}, {y:g})"
-        if not all(map(math.isfinite, (x, y, *z))):
-            raise TrajectoryError(f"{where}, is not finite")
         cell = occupancy.cell_of(x, y)
         if any(abs(height_m) > MOST_HEIGHT_M for height_m in z):
             raise TrajectoryError(

@@ -71,20 +71,8 @@ def value_map(
         drivable: ids of the chosen regions, 1 to 255.
         coarse_m: (n, 2) float64 in `map`; empty: no tube.
         margins: clearance and tube radius.
-
-    Raises:
-        ValueError: a grid has another type or other cells, or an id is not in 1 to 255.
     """
     cells = occupancy.cells
-    if cells.dtype != np.int8 or regions.cells.dtype != np.uint8:
-        raise ValueError(
-            f"expected int8 occupancy and uint8 regions, got {cells.dtype}, {regions.cells.dtype}"
-        )
-    place = (occupancy.origin_xy_m, occupancy.resolution_m, cells.shape)
-    if place != (regions.origin_xy_m, regions.resolution_m, regions.cells.shape):
-        raise ValueError("occupancy and regions differ in origin, resolution or shape")
-    if not all(0 < region < 256 for region in drivable):
-        raise ValueError(f"drivable: expected region ids from 1 to 255, got {sorted(drivable)}")
     if cells.size == 0:
         return from_weights(replace(occupancy, cells=np.zeros(cells.shape, np.uint8)), TUBE)
     table = np.full(256, HIGH, np.uint8)
