@@ -21,7 +21,6 @@ from edge.tasks.scene.value_map import IN_ZONE
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS
 
-MOST_HEIGHT_M = 1000.0  # largest height of a point, up or down
 _SHOWN = 40  # most characters of a text from a script in a message
 MAX_POINTS, MAX_SEGMENTS = 5_000, 50
 """Largest numbers of points and of segments of a trajectory that a script hands over."""
@@ -36,7 +35,7 @@ class CoarseTrajectory:
     """A trajectory as its writer gave it, before it is refined.
 
     Attributes:
-        segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each segment begins near the end
+        segments: (n, 2) float64 each, in `map`, n >= 1; each segment begins near the end
             of the segment before.
         regions: ids of the drivable regions in which it should stay; empty: any.
         speed_mps: requested speed; None: the robot's usual speed.
@@ -51,7 +50,7 @@ class CoarseTrajectory:
     @property
     def points_m(self) -> np.ndarray:
         """All points in a row, (n, 2) float64."""
-        return np.concatenate([np.empty((0, 2)), *(points[:, :2] for points in self.segments)])
+        return np.concatenate([np.empty((0, 2)), *self.segments])
 
 
 def coarse_of(
@@ -152,29 +151,22 @@ def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
     return float(value)
 
 
-def point(value: Any, name: str) -> tuple[float, ...]:
-    """Return a point (x, y) or (x, y, z) in `map` from a script, in metres.
+def point(value: Any, name: str) -> tuple[float, float]:
+    """Return a point (x, y) in `map` from a script, in metres; of (x, y, z) without its height.
 
     Raises:
         TrajectoryError: the value is not a point.
     """
     if not _is_point(value):
         raise TrajectoryError(f"{name}: expected a point (x, y), got {shown(value)}")
-    limits = (FARTHEST_M, FARTHEST_M, MOST_HEIGHT_M)
-    axes = zip(value, "xyz", limits, strict=False)
-    return tuple(number(v, f"{name}: {axis}", largest) for v, axis, largest in axes)
+    return number(value[0], f"{name}: x"), number(value[1], f"{name}: y")
 
 
 def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> None:
     scene, occupancy = ground.scene, ground.scene.occupancy
-    for i, (x, y, *z) in _enumerate_from_1(points.tolist()):
+    for i, (x, y) in _enumerate_from_1(points.tolist()):
         where = f"point {i} of segment {segment}, ({x:g}, {y:g})"
         cell = occupancy.cell_of(x, y)
-        if any(abs(height_m) > MOST_HEIGHT_M for height_m in z):
-            raise TrajectoryError(
-                f"{where}, has height {z[0]:g} m; it must be from {-MOST_HEIGHT_M:g} to "
-                f"{MOST_HEIGHT_M:g} m"
-            )
         if cell is None:
             x0, x1, y0, y1 = occupancy.extent_m
             raise TrajectoryError(
@@ -214,12 +206,8 @@ def _point_name(segments: Sequence[np.ndarray], index: int) -> str:
 
 
 def _segment(points: list[Any], segment: int) -> np.ndarray:
-    rows = [
-        point(value, f"point {i} of segment {segment}") for i, value in _enumerate_from_1(points)
-    ]
-    if len(set(map(len, rows))) > 1:
-        raise TrajectoryError(f"segment {segment} mixes points (x, y) with points (x, y, z)")
-    return np.array(rows, np.float64)
+    named = _enumerate_from_1(points)
+    return np.array([point(value, f"point {i} of segment {segment}") for i, value in named])
 
 
 def _is_point(value: Any) -> bool:

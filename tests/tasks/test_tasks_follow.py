@@ -210,7 +210,7 @@ def test_outside_the_map_nothing_is_known():
 
 
 def test_the_trajectory_is_sent_as_a_path():
-    trajectory = refine(scene(), [np.array([[0.0, 0.0, 0.5], [0.0, 7.0, 0.5]])], {1}, BODY, LIMITS)
+    trajectory = refine(scene(), [np.array([[0.0, 0.0], [0.0, 7.0]])], {1}, BODY, LIMITS)
     path = from_ros(path_message(trajectory, 10**9 + 5), "nav_msgs/msg/Path")
     assert (path.header.frame_id, path.header.stamp.nanosec) == ("map", 5)
     got = np.array(
