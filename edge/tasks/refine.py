@@ -47,10 +47,8 @@ class RefinedTrajectory:
         legs: legs of the coarse trajectory that were refined.
         drivable: ids of the regions chosen for it.
         heading_rad: requested heading at the end; None: along the path.
-        cost_m: cost of the path in metres of the tube's ground (`value_map`).
         control_m: distance between the spline's control points; 0: the path is A*'s own, because
             every spline of `CONTROL_M` entered a closed cell or cost too much (`MAX_COST_RATIO`).
-        off_region_m: length of the path over ground that was not chosen.
         notes: differences from the request, a line each.
     """
 
@@ -61,9 +59,7 @@ class RefinedTrajectory:
     legs: tuple[Leg, ...]
     drivable: frozenset[int]
     heading_rad: float | None
-    cost_m: float
     control_m: float
-    off_region_m: float
     notes: tuple[str, ...]
 
 
@@ -73,7 +69,6 @@ def refine(
     drivable: Collection[int],
     margins: PathMargins,
     limits: MotionLimits,
-    speed_mps: float = 0.0,
     heading_rad: float | None = None,
 ) -> RefinedTrajectory:
     """Run A* over the value map through the ends of the coarse segments, then fit a spline.
@@ -88,7 +83,6 @@ def refine(
         drivable: ids of the regions chosen; empty: any.
         margins: clearance, and radius of the tube around the coarse trajectory.
         limits: highest speeds and accelerations.
-        speed_mps: current speed of the robot.
         heading_rad: heading of the last pose; None: along the path.
 
     Raises:
@@ -96,7 +90,7 @@ def refine(
     """
     legs = cut_into_legs(segments, (scene.pose.x_m, scene.pose.y_m), margins.tube_m)
     chosen = frozenset(drivable) or frozenset(scene.regions)
-    return refine_legs(scene, legs, chosen, margins, limits, speed_mps, heading_rad)
+    return refine_legs(scene, legs, chosen, margins, limits, heading_rad)
 
 
 def refine_again(
@@ -105,7 +99,6 @@ def refine_again(
     index: int,
     margins: PathMargins,
     limits: MotionLimits,
-    speed_mps: float = 0.0,
 ) -> RefinedTrajectory:
     """Refine the rest of a trajectory, from the robot's place, on the current map.
 
@@ -118,7 +111,7 @@ def refine_again(
     away = np.hypot(*(first.points_m - (scene.pose.x_m, scene.pose.y_m)).T)
     ahead = first.points_m[int(np.argmin(away)) :]
     legs = (Leg(ahead, first.ends_segment), *rest)
-    return refine_legs(scene, legs, before.drivable, margins, limits, speed_mps, before.heading_rad)
+    return refine_legs(scene, legs, before.drivable, margins, limits, before.heading_rad)
 
 
 def refine_legs(
@@ -127,7 +120,6 @@ def refine_legs(
     drivable: frozenset[int],
     margins: PathMargins,
     limits: MotionLimits,
-    speed_mps: float,
     heading_rad: float | None,
 ) -> RefinedTrajectory:
     """Refine a trajectory that is already cut into legs; see `refine`."""
@@ -146,7 +138,6 @@ def refine_legs(
         notes.append(
             "not smoothed: every spline came too close to an obstacle, or left the chosen ground"
         )
-    cost_m = smoothing.polyline_cost_m(costmap, points)
     off_m = _length_m(costmap, points, costmap.weight == HIGH)
     unseen_m = _length_m(costmap, points, costmap.weight == BRIDGE)
     for length_m, kind in ((unseen_m, "seen"), (off_m, "chosen")):
@@ -157,7 +148,7 @@ def refine_legs(
     headings = headings_rad(points) if len(points) > 1 else np.array([pose.yaw_rad])
     if heading_rad is not None:
         headings[-1] = heading_rad
-    speeds = speeds_mps(points, limits, speed_mps)
+    speeds = speeds_mps(points, limits)
     return RefinedTrajectory(
         poses=np.column_stack([points, np.zeros(len(points)), headings]),
         speeds_mps=speeds,
@@ -166,9 +157,7 @@ def refine_legs(
         legs=kept_legs,
         drivable=drivable,
         heading_rad=heading_rad,
-        cost_m=cost_m,
         control_m=control_m,
-        off_region_m=off_m,
         notes=tuple(notes),
     )
 
