@@ -210,7 +210,6 @@ def warm_mapping(mapping: MappingConfig) -> None:
     points_m = read_only(grid.frontiers.xy_m)
     grid.unknown.ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
-    _ = grid.known_m2
     grid.state_dict()
     moved = SE2(grid.window.n * grid.resolution_m, 0.0, 0.0).matrix()  # by one window
     grid.update_depth(depth_m, _CAMERA, moved, _T_BASE_CAMERA)

@@ -202,7 +202,7 @@ class RollingMap:
 
         Another thread may read it during an update; some cells are then from before the update.
         """
-        return float(unknown.count(self._cells.layers.known)) * self.resolution_m**2
+        return float(np.count_nonzero(self._cells.layers.raw)) * self.resolution_m**2
 
     def snapshot(self, inflated: int = OCCUPIED) -> Grid:
         """Copy the explored part; the cost grows with the map's size, so never in a steady tick.
