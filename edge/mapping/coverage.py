@@ -93,13 +93,7 @@ class Coverage:
 
     def roll(self, axis: int, by: int) -> None:
         """Clear the strip that leaves the window when it moves by `by` cells along x (0) or y."""
-        start, n = self._window.origin[axis], self._window.n
-        gone = min(abs(by), n)
-        start += 0 if by > 0 else n - gone
-        strip = np.arange(start >> self._place_bits, (start + gone) >> self._place_bits) % len(
-            self.looks
-        )
-        self.looks[(slice(None), strip) if axis == 0 else strip] = 0
+        self.looks[self._window.leaving(axis, by, self._place_bits)] = 0
 
     def reset(self) -> None:
         """Clear all counts, because the detector now looks for other objects."""
