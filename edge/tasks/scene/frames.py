@@ -45,10 +45,10 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     return np.stack((x, y, z), axis=1).astype(np.float32), observation.T_base_camera
 
 
-def plausible_points(cloud_m: np.ndarray) -> np.ndarray:
-    """Return the points (n, 3) of a scan that are finite and not absurdly far, (n,) bool."""
+def points_within(cloud_m: np.ndarray, range_m: float = MAX_RANGE_M) -> np.ndarray:
+    """Return the points (n, 3) of a scan that are finite and within a range, (n,) bool."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.linalg.norm(cloud_m, axis=1) <= MAX_RANGE_M
+        return np.linalg.norm(cloud_m, axis=1) <= range_m
 
 
 def transformed(T: np.ndarray, points_m: np.ndarray) -> np.ndarray:
