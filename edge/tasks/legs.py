@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.errors import UserError
-from edge.tasks.sentences.speeds import headings_rad
+from edge.trajectory.speeds import headings_rad
 
 TURN_RAD = math.radians(45.0)
 """A segment is cut where it has turned by this angle, so that A* cannot shorten a longer bend.

@@ -18,10 +18,10 @@ from edge.tasks.legs import Leg, RefineError, cut_into_legs
 from edge.tasks.scene.ground import ESCAPE_M
 from edge.tasks.scene.scene import Scene
 from edge.tasks.scene.value_map import BRIDGE, HIGH, PathMargins, closed_cells, value_map
-from edge.tasks.sentences.speeds import headings_rad, speeds_mps, times_s
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_weights
 from edge.trajectory.pursuit import MotionLimits
+from edge.trajectory.speeds import headings_rad, speeds_mps, times_s
 from edge.trajectory.spline import b_spline
 
 SPACING_M = 0.1

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.tasks.sentences.speeds import speeds_mps, times_s
 from edge.trajectory.pursuit import MotionLimits
+from edge.trajectory.speeds import speeds_mps, times_s
 
 LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.5, turn_accel_radps2=3.0)
 LINE = np.column_stack([np.arange(0.0, 10.01, 0.1), np.zeros(101)])
