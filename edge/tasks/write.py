@@ -57,7 +57,7 @@ class WrittenTrajectory:
     """A trajectory and how it was written.
 
     Attributes:
-        ground: the ground on which the trajectory was checked.
+        reachable: the ground on which the trajectory was checked.
         understood: interpretation by the rules, in words; "" for a model.
         rounds: answers of a model, oldest first; the last one gave the trajectory.
         stops_at: id of the object at which the entire trajectory ends, as near as the robot gets;
@@ -67,7 +67,7 @@ class WrittenTrajectory:
     """
 
     coarse: CoarseTrajectory
-    ground: ReachableGround
+    reachable: ReachableGround
     understood: str = ""
     rounds: tuple[PlanAttempt, ...] = ()
     stops_at: int | None = None

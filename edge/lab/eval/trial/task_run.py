@@ -105,7 +105,7 @@ def run_task(
             limits = replace(limits, speed_mps=min(wanted_mps, limits.speed_mps))
         coarse = written.coarse
         refined = refine(
-            written.ground.scene, coarse.segments, coarse.regions, margins, limits,
+            written.reachable.scene, coarse.segments, coarse.regions, margins, limits,
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
         scene = view.scene
