@@ -33,7 +33,6 @@ from edge.host.children import python_module
 from edge.loop.goals.candidates import CandidatePool
 from edge.loop.scoring.prior import LocationPrior
 from edge.loop.scoring.room_surveyor import RoomSurveyor
-from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import read_only
 from edge.mapping.view import MapView
@@ -206,11 +205,10 @@ def warm_mapping(mapping: MappingConfig) -> None:
     grid.gain.best_spin(_HERE, 0.0, 1.0)
     grid.coverage.on_image(replace(room(), depth_m=None), 1.0, 1)
     grid.coverage.search(grid.travel_cost)
-    grid.coverage.is_worth_visiting(Viewpoint(0.0, 0.0, 0.0))
+    grid.coverage.is_worth_visiting(SE2(0.0, 0.0, 0.0))
     points_m = read_only(grid.frontiers.xy_m)
     grid.unknown.ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
-    _ = grid.known_m2
     grid.state_dict()
     moved = SE2(grid.window.n * grid.resolution_m, 0.0, 0.0).matrix()  # by one window
     grid.update_depth(depth_m, _CAMERA, moved, _T_BASE_CAMERA)

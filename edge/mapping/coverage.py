@@ -8,11 +8,10 @@ view shows the places that the search expected.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from edge.geometry import Grid, optical_yaw_rad
+from edge.geometry import SE2, Grid, optical_yaw_rad
 from edge.jit import jit
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
 from edge.mapping.reach_kernels import STRAIGHT
@@ -50,21 +49,6 @@ KEEP, COUNT, WRITE_OFF = range(3)
 _WORTH, _X, _Y, _HEADING = range(4)
 
 
-@dataclass(frozen=True, slots=True)
-class Viewpoint:
-    """A cell that the robot can reach, and the direction of the camera there.
-
-    Attributes:
-        x_m: centre of the cell in `map`.
-        y_m: centre of the cell in `map`.
-        heading_rad: direction of the camera in `map`.
-    """
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-
-
 class Coverage:
     """Number of looks at each place, one byte per place on the map's torus; memory is fixed.
 
@@ -72,12 +56,13 @@ class Coverage:
         camera_yaw_rad: yaw of the first camera on the robot; 0 if it looks ahead. Turns and views
             are planned for this camera.
         looks: (m, m) uint8 by storage place, number of looks, at most 127.
-        view: best of all views that `search` found; None if no view is worth a goal.
+        view: best of all views that `search` found: the centre of a cell that the robot can reach,
+            and the direction of the camera there. None if no view is worth a goal.
     """
 
     def __init__(self, layers: Layers, window: Window) -> None:
         self.camera_yaw_rad = 0.0
-        self.view: Viewpoint | None = None
+        self.view: SE2 | None = None
         self._layers, self._window = layers, window
         resolution_m, n = window.resolution_m, window.n
         # The window moves by multiples of 64 cells, and so of a place's side.
@@ -93,13 +78,7 @@ class Coverage:
 
     def roll(self, axis: int, by: int) -> None:
         """Clear the strip that leaves the window when it moves by `by` cells along x (0) or y."""
-        start, n = self._window.origin[axis], self._window.n
-        gone = min(abs(by), n)
-        start += 0 if by > 0 else n - gone
-        strip = np.arange(start >> self._place_bits, (start + gone) >> self._place_bits) % len(
-            self.looks
-        )
-        self.looks[(slice(None), strip) if axis == 0 else strip] = 0
+        self.looks[self._window.leaving(axis, by, self._place_bits)] = 0
 
     def reset(self) -> None:
         """Clear all counts, because the detector now looks for other objects."""
@@ -128,18 +107,18 @@ class Coverage:
         first = optical_yaw_rad(T) - 0.5 * (rays - 1) * step_rad
         self._show(T[0, 3], T[1, 3], first, step_rad, rays, far, COUNT)
 
-    def is_worth_visiting(self, view: Viewpoint) -> bool:
+    def is_worth_visiting(self, view: SE2) -> bool:
         """Return True if a view still shows enough places that were not seen well."""
         return self._unseen_in_view(view, KEEP) >= self._min_places
 
-    def area_m2(self, view: Viewpoint) -> float:
+    def area_m2(self, view: SE2) -> float:
         """Return the area that a view still shows of places that were not seen well."""
         return (
             self._unseen_in_view(view, KEEP)
             * (self._window.resolution_m * 2**self._place_bits) ** 2
         )
 
-    def write_off(self, view: Viewpoint) -> None:
+    def write_off(self, view: SE2) -> None:
         """Exclude the places of a view that are still not seen well from all later searches."""
         self._unseen_in_view(view, WRITE_OFF)
 
@@ -185,15 +164,15 @@ class Coverage:
             return False
         if self._best[_WORTH] > 0.0:
             x, y, heading = self._best[_X:].tolist()
-            self.view = Viewpoint((x + 0.5) * res, (y + 0.5) * res, heading)
+            self.view = SE2((x + 0.5) * res, (y + 0.5) * res, heading)
         self._best[:] = 0.0
         return True
 
-    def _unseen_in_view(self, view: Viewpoint, action: int) -> int:
+    def _unseen_in_view(self, view: SE2, action: int) -> int:
         """Return the number of places that a view shows and that were not seen well."""
         far = SAFE_SHARE * self._range_m / self._window.resolution_m
         ray_step_rad, width = sector(SAFE_SHARE * self._fov_rad, far, self._place_bits)
-        first = view.heading_rad - 0.5 * (width - 1) * ray_step_rad
+        first = view.yaw_rad - 0.5 * (width - 1) * ray_step_rad
         return self._show(view.x_m, view.y_m, first, ray_step_rad, width, far, action)
 
     def _show(

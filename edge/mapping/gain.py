@@ -14,13 +14,13 @@ import numpy as np
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, Rows, check_arrays
 from edge.jit import jit
-from edge.mapping.layers import OCCUPIED, UNSEEN, ZONE, Layers
+from edge.mapping.layers import OCCUPIED, UNSEEN, ZONE, Layers, bits_of
 from edge.mapping.window import Window
 
 OPEN_M = 2.5
 """Mean free length of a ray through rooms that were not seen yet."""
 RAYS = 64
-"""Number of rays of a full turn; `sector_bits` has one bit for each."""
+"""Number of rays of a full turn; a remembered place has one bit for each."""
 STEP_CELLS = 2.0
 """Step along a ray in cells."""
 SAFE_SHARE = 0.85
@@ -70,8 +70,8 @@ class InformationGain:
 
     def on_view(self, pose: SE2, camera_yaw_rad: float, fov_rad: float) -> None:
         """Remember a view of the camera: it shows nothing new from this place in this direction."""
-        ahead, k = pose.yaw_rad + camera_yaw_rad, self._place(pose)
-        self._looked[k] |= sector_bits(ahead, SAFE_SHARE * fov_rad)
+        in_view = np.abs(_offsets_rad(pose.yaw_rad + camera_yaw_rad)) <= 0.5 * SAFE_SHARE * fov_rad
+        self._looked[self._place(pose)] |= bits_of(in_view[None])[0, 0]
 
     def best_spin(
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
@@ -91,7 +91,8 @@ class InformationGain:
             self._ray_m2,
         )  # fmt: skip
         near = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m) < SAME_PLACE_M
-        looked = np.bitwise_or.reduce(self._looked[near], initial=np.uint64(0))
+        bits = np.bitwise_or.reduce(self._looked[near], initial=np.uint64(0))
+        looked = bits >> np.arange(RAYS, dtype=np.uint64) & np.uint64(1) != 0
         ahead = pose.yaw_rad + camera_yaw_rad
         turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SAFE_SHARE * fov_rad, ahead)
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
@@ -169,45 +170,38 @@ def gains(layers, origin_x, origin_y, inv_res, xy, indices, n, direction, area, 
         )  # fmt: skip
 
 
-@jit
-def sector_bits(ahead, fov):
-    """Return the rays within a field of view around the direction `ahead`, as bits; radians."""
-    bits = np.uint64(0)
-    for k in range(RAYS):
-        offset = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
-        if abs(offset) <= 0.5 * fov:
-            bits |= np.uint64(1) << np.uint64(k)
-    return bits
+def _offsets_rad(ahead_rad: float) -> np.ndarray:
+    """Return the angle of each ray from the direction `ahead_rad`, (RAYS,), in [-pi, pi)."""
+    rays_rad = 2.0 * math.pi / RAYS * np.arange(RAYS)
+    return (rays_rad - ahead_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@jit
-def best_sweep(ray, looked, fov, ahead):
+def best_sweep(
+    ray_m2: np.ndarray, looked: np.ndarray, fov_rad: float, ahead_rad: float
+) -> tuple[float, float, float]:
     """Find the shorter turn, left or right, over all unseen rays that show enough.
 
     Args:
-        ray: (RAYS,) float64, area that each ray shows in m².
-        looked: rays that the camera has seen from near here, as bits.
-        fov: field of view in radians.
-        ahead: direction of the camera in radians.
+        ray_m2: (RAYS,) float64, area that each ray shows.
+        looked: (RAYS,) bool, True for rays that the camera has seen from near here.
+        fov_rad: field of view.
+        ahead_rad: direction of the camera.
 
     Returns:
         (turn to the next view, angle of the entire turn, area in m²). Angles are in radians; a turn
         to the right is negative. The turn to the next view is at most 120 degrees, so that no
         controller takes the other way round.
     """
-    left_turn, right_turn, total = 0.0, 0.0, 0.0
-    half = 0.5 * fov
-    for k in range(RAYS):
-        if ray[k] < RAY_LEAST_M2 or (looked >> np.uint64(k)) & np.uint64(1) != np.uint64(0):
-            continue
-        total += ray[k]
-        offset = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
-        # To bring the ray into view from either side.
-        left_turn = max(left_turn, offset % (2.0 * math.pi) - half)
-        right_turn = max(right_turn, -offset % (2.0 * math.pi) - half)
-    if total == 0.0:
+    unseen = (ray_m2 >= RAY_LEAST_M2) & ~looked
+    if not unseen.any():
         return 0.0, 0.0, 0.0
-    max_turn = 2.0 * math.pi / 3.0
-    if left_turn <= right_turn:
-        return min(left_turn, max_turn), left_turn, total
-    return -min(right_turn, max_turn), right_turn, total
+    # To bring every ray into view from either side.
+    offset_rad, area_m2 = _offsets_rad(ahead_rad)[unseen], float(ray_m2[unseen].sum())
+    left_rad, right_rad = (
+        max(float((side * offset_rad % (2.0 * math.pi)).max()) - 0.5 * fov_rad, 0.0)
+        for side in (1.0, -1.0)
+    )
+    max_turn_rad = 2.0 * math.pi / 3.0
+    if left_rad <= right_rad:
+        return min(left_rad, max_turn_rad), left_rad, area_m2
+    return -min(right_rad, max_turn_rad), right_rad, area_m2

@@ -202,7 +202,7 @@ class RollingMap:
 
         Another thread may read it during an update; some cells are then from before the update.
         """
-        return float(unknown.count(self._cells.layers.known)) * self.resolution_m**2
+        return float(np.count_nonzero(self._cells.layers.raw)) * self.resolution_m**2
 
     def snapshot(self, inflated: int = OCCUPIED) -> Grid:
         """Copy the explored part; the cost grows with the map's size, so never in a steady tick.
@@ -221,14 +221,17 @@ class RollingMap:
     # -- checkpoint -------------------------------------------------------------------------
 
     @property
-    def planes(self) -> tiles.LayerTiles:
-        """Layers for the checkpoint, by tile; all other layers can be computed from them."""
+    def planes(self) -> tuple[np.ndarray, ...]:
+        """Layers for the checkpoint; all other layers can be computed from them.
+
+        They are views by storage tile: [row of tiles, row, column of tiles, column, …].
+        """
         layers, m = self._cells.layers, len(self.window.written)
         saved = (
             layers.raw, layers.top, layers.trail, self.coverage.looks, self.values.value,
             self.values.weight,
         )  # fmt: skip
-        return tiles.LayerTiles(*(tiles.tiled(layer, m) for layer in saved))
+        return tuple(tiles.tiled(layer, m) for layer in saved)
 
     @property
     def tiles_of_update(self) -> int:

@@ -25,9 +25,8 @@ _NEXT_TO_DIAGONAL = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0
 UNREACHED = np.int32(0)
 """Entry of `Wave.distance` of a cell that the field has not reached."""
 # Entries of `Wave.state`: 1 + cost of the cells that are taken now, number of queued cells, squared
-# escape radius (-1 if the start is free), storage cell of the start, number of cells that found
-# their bucket full.
-_LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
+# escape radius (-1 if the start is free), storage cell of the start.
+_LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y = range(5)
 # An obstacle this near to a point of an object's surface is the object itself. With more cells, the
 # robot would stop behind the wall that the object stands at: noise puts some points into that wall.
 _OWN_CELLS = 2
@@ -41,7 +40,7 @@ class Wave(NamedTuple):
         bucket: (8, m) int32, queued cells by cost mod 8.
         filled: (8,) int64, number of cells in each bucket.
         bounds: (4,) int64, half-open storage rectangle that was written.
-        state: (6,) int64, progress of the field; see `_LEVEL` and the entries after it.
+        state: (5,) int64, progress of the field; see `_LEVEL` and the entries after it.
     """
 
     distance: np.ndarray
@@ -172,7 +171,6 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
                 continue
             new_slot = new_cost & (BUCKETS - 1)
             if filled[new_slot] == bucket.shape[1]:
-                wave.state[_LOST] += 1
                 continue
             distance[neighbour] = new_cost
             bucket[new_slot, filled[new_slot]] = neighbour

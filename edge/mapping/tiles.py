@@ -24,25 +24,8 @@ TileIndex = tuple[int, int]
 """(row, column) of a storage tile, or (x, y) of a world tile."""
 
 
-class LayerTiles(NamedTuple):
-    """Views of a map's layers by storage tile: [row of tiles, row, column of tiles, column, …].
-
-    Attributes:
-        raw, top, trail: see `edge.mapping.layers.Layers`.
-        looks: see `edge.mapping.coverage.Coverage`.
-        value, weight: see `edge.mapping.values.ValueMap`; with one axis more, the targets.
-    """
-
-    raw: np.ndarray
-    top: np.ndarray
-    trail: np.ndarray
-    looks: np.ndarray
-    value: np.ndarray
-    weight: np.ndarray
-
-
 VALUE_PLANES = 2
-"""Number of layers of `LayerTiles` that belong to the value maps: the last ones."""
+"""Number of `RollingMap.planes` that belong to the value maps: the last ones."""
 
 
 def tiled(array: np.ndarray, m: int) -> np.ndarray:
@@ -73,7 +56,7 @@ class TileCopier:
         self._restarted = True
         self._batches: list[TileBatch] = []
 
-    def step(self, window: Window, planes: LayerTiles, most: int) -> bool:
+    def step(self, window: Window, planes: Iterable[np.ndarray], most: int) -> bool:
         """Copy up to `most` tiles; return True if `collect` now gives the complete current map."""
         if window is not self._window:  # another map: drop the tiles of the last one
             self._window, self._restarted, self._batches = window, True, []
@@ -169,7 +152,7 @@ def write_tiles(
     """Write unpacked world tiles into the layers; tiles outside the window are ignored.
 
     Args:
-        planes: all layers of `LayerTiles`, or the first ones; the tiles hold the same.
+        planes: all of `RollingMap.planes`, or the first ones; the tiles hold the same.
         window: window of the map.
         tiles: world tiles (x, y), each with its bytes.
     """

@@ -74,7 +74,7 @@ class TravelCostField:
                 bucket=np.zeros((BUCKETS, contour), np.int32),
                 filled=np.zeros(BUCKETS, np.int64),
                 bounds=np.zeros(4, np.int64),
-                state=np.zeros(6, np.int64),
+                state=np.zeros(5, np.int64),
             )
             for _ in range(2)
         ]

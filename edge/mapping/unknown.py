@@ -63,16 +63,6 @@ def _popcount(x):
     return (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
-@jit
-def count(plane):
-    """Return the number of set bits of a bit plane, (N, N / 64) uint64."""
-    n = 0
-    for row in plane:
-        for word in row:
-            n += np.int64(_popcount(word))
-    return n
-
-
 @jit(inline="always")
 def _spread_in_row(x, p):
     """Return the bits of p that are connected to a bit of x within one row of 64 cells."""

@@ -128,13 +128,8 @@ class ValueMap:
 
     def roll(self, axis: int, by: int) -> None:
         """Clear the strip that leaves the window when it moves by `by` map cells along x or y."""
-        start, n = self._window.origin[axis], self._window.n
-        gone = min(abs(by), n)
-        start += 0 if by > 0 else n - gone
-        strip = np.arange(start >> self._cell_bits, (start + gone) >> self._cell_bits) % self._cells
-        where = (slice(None), strip) if axis == 0 else strip
-        self.value[where] = 0
-        self.weight[where] = 0
+        leaving = self._window.leaving(axis, by, self._cell_bits)
+        self.value[leaving] = self.weight[leaving] = 0
 
     def range_profile(self, observation: Observation) -> RangeProfile | None:
         """Return how far an observation sees, by its depth image, else up to the map's obstacles.

@@ -51,6 +51,16 @@ class Window:
         (ox, oy), n = self.origin, self.n
         return self.placed and ox <= x < ox + n and oy <= y < oy + n
 
+    def leaving(self, axis: int, by: int, bits: int) -> tuple[slice | np.ndarray, ...]:
+        """Return the storage index of the strip that leaves when the window moves by `by` cells.
+
+        It is of a layer with squares of 2**`bits` map cells; `axis` is 0 for x and 1 for y.
+        """
+        gone = min(abs(by), self.n)
+        start = self.origin[axis] + (0 if by > 0 else self.n - gone)
+        strip = np.arange(start >> bits, (start + gone) >> bits) % (self.n >> bits)
+        return (slice(None), strip) if axis == 0 else (strip,)
+
     def copy_of(self, plane: Callable[[], np.ndarray]) -> Grid:
         """Return the written part of a layer as a grid in `map`.
 

@@ -233,7 +233,9 @@ def _plain(value: Any) -> Any:
 
 
 def decoded(kind: Any, stored: Any) -> Any:
-    """Return the value of this type that `_plain` has encoded. Fields with a default may lack.
+    """Return the value of this type that `_plain` has encoded.
+
+    Fields with a default may lack, and fields of an earlier version are ignored.
 
     Raises:
         Exception: any, if the value is damaged.
@@ -255,7 +257,8 @@ def decoded(kind: Any, stored: Any) -> Any:
         return tuple(decoded(one, item) for one, item in zip(kinds, stored, strict=True))
     if is_dataclass(kind):
         kinds = _types_of_fields(kind)
-        return kind(**{name: decoded(kinds[name], value) for name, value in stored.items()})
+        known = {name: value for name, value in stored.items() if name in kinds}
+        return kind(**{name: decoded(kinds[name], value) for name, value in known.items()})
     return stored
 
 

@@ -37,7 +37,7 @@ from edge.trajectory.smoothing import resample
 MOST_CAPTION_CHARS = 200
 """Longest label or caption that a script or a model sees."""
 MOST_SHOWN = 10
-"""Most trajectories that `visual_3d` shows."""
+"""Most trajectories that `visual_3d` accepts."""
 MOST_DETECTIONS = 4
 """Most names that scripts have detected for one instruction."""
 MOST_PATH_POINTS = 1000
@@ -69,7 +69,7 @@ class ScriptFunctions:
         detect: returns the scene with the objects of a name that the frame at hand shows
             (`edge.tasks.scene.on_demand`); None: there is no detector for it.
         trajectory: the trajectory that `give_trajectory` received; None before.
-        shown_trajectories: trajectories that `visual_3d` received, (n, 2 or 3) float64 each.
+        shown_trajectories: trajectories that `visual_3d` received, (n, 2) float64 each.
         detected: by name that was detected on demand, the ids of its objects.
         detecting_s: time of these detections.
     """
@@ -130,7 +130,7 @@ class ScriptFunctions:
 
         If the end is not on open ground, the path leads to the nearest such point within 0.5 m.
         """
-        start_m, end_m = _point(start, "start"), _point(end, "end")
+        start_m, end_m = point(start, "start"), point(end, "end")
         chosen = self._regions(regions or self.keep_to)
         goal_m = self.ground.nearest(*end_m, within_m=_NEAR_STEP_M)
         if goal_m is None:
@@ -147,7 +147,7 @@ class ScriptFunctions:
         return _points(found.path_m)
 
     def visual_3d(self, points: Any) -> None:
-        """Show a trajectory in the scene, without driving it."""
+        """Accept a trajectory without driving it, for scripts of OpenNav. Nothing shows it."""
         if len(self.shown_trajectories) == MOST_SHOWN:
             raise CallError(
                 f"visual_3d: {MOST_SHOWN} trajectories are shown already; more are not allowed"
@@ -172,11 +172,11 @@ class ScriptFunctions:
 
     def is_free(self, at: Any) -> bool:
         """Return True if the robot can be at a point and can get there."""
-        return self.ground.is_free(*_point(at, "at"))
+        return self.ground.is_free(*point(at, "at"))
 
     def nearest_reachable(self, at: Any, region: Any = None) -> Point:
         """Return the reachable point nearest to another."""
-        at_m = _point(at, "at")
+        at_m = point(at, "at")
         wanted = None if region is None else next(iter(self._regions([region])))
         found = self.ground.nearest(*at_m, region=wanted)
         if found is None:
@@ -188,20 +188,20 @@ class ScriptFunctions:
 
     def region_at(self, at: Any) -> int:
         """Return the id of the drivable region at a point; 0 = none."""
-        return self.ground.region_at(*_point(at, "at"))
+        return self.ground.region_at(*point(at, "at"))
 
     def distance(self, a: Any, b: Any) -> float:
         """Return the distance between two points in metres."""
-        return math.dist(_point(a, "a"), _point(b, "b"))
+        return math.dist(point(a, "a"), point(b, "b"))
 
     def heading(self, a: Any, b: Any) -> float:
         """Return the direction from one point to another in radians, counter-clockwise from x."""
-        (ax, ay), (bx, by) = _point(a, "a"), _point(b, "b")
+        (ax, ay), (bx, by) = point(a, "a"), point(b, "b")
         return math.atan2(by - ay, bx - ax)
 
     def line(self, a: Any, b: Any) -> list[Point]:
         """Return points on a straight line, close enough to each other for a trajectory."""
-        ends = np.array([_point(a, "a"), _point(b, "b")])
+        ends = np.array([point(a, "a"), point(b, "b")])
         steps = math.ceil(2.0 * float(np.hypot(*(ends[1] - ends[0]))) / self.limits.max_jump_m)
         if steps > MOST_PATH_POINTS:
             longest_m = 0.5 * MOST_PATH_POINTS * self.limits.max_jump_m
@@ -237,7 +237,7 @@ class ScriptFunctions:
             raise CallError(f"arc: side: expected {_choices(TURNS)}, got {shown(side)}")
         begin_rad, end_rad = (
             wrap_angle(self._view_direction_rad(obj, p) + math.pi)
-            for p in (_point(start, "start"), _point(end, "end"))
+            for p in (point(start, "start"), point(end, "end"))
         )
         turn = TURNS[side]
         sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
@@ -256,7 +256,7 @@ class ScriptFunctions:
         """
         pose = self._scene.pose
         here = (pose.x_m, pose.y_m)
-        from_m = here if coming_from is None else _point(coming_from, "coming_from")
+        from_m = here if coming_from is None else point(coming_from, "coming_from")
         obj = self._object(id)
         found, gap_m = self.ground.stopping_point(obj, from_m)
         if found is None:
@@ -292,7 +292,7 @@ class ScriptFunctions:
     def _view_direction_rad(self, obj: SceneObject, seen_from: Any) -> float:
         """Return the direction of view from a point to an object, by default from the robot."""
         pose = self._scene.pose
-        from_m = (pose.x_m, pose.y_m) if seen_from is None else _point(seen_from, "seen_from")
+        from_m = (pose.x_m, pose.y_m) if seen_from is None else point(seen_from, "seen_from")
         return self.heading(from_m, tuple(obj.position_m[:2].tolist()))
 
 
@@ -301,11 +301,6 @@ NAMES = (
     "nearest_reachable", "region_at", "distance", "heading", "line", "offset", "arc",
     "stopping_point",
 )  # fmt: skip
-
-
-def _point(value: Any, name: str) -> Point:
-    x_m, y_m = point(value, name)[:2]
-    return x_m, y_m
 
 
 def _side_distance_m(distance_m: Any) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.errors import UserError
-from edge.tasks.sentences.speeds import headings_rad
+from edge.trajectory.speeds import headings_rad
 
 TURN_RAD = math.radians(45.0)
 """A segment is cut where it has turned by this angle, so that A* cannot shorten a longer bend.
@@ -31,7 +31,7 @@ class Leg:
     """A part of the coarse trajectory for which A* runs once.
 
     Attributes:
-        points_m: (n, 3) float64 in `map`, n >= 1, without the end point of the leg before.
+        points_m: (n, 2) float64 in `map`, n >= 1, without the end point of the leg before.
         ends_segment: True if its end must be reached; otherwise the end only keeps A* from
             shortening a bend.
     """
@@ -46,35 +46,19 @@ def cut_into_legs(
     """Split the coarse trajectory into legs: its segments, cut where they turn by `TURN_RAD`.
 
     Args:
-        segments: (n, 2 or 3) points each.
+        segments: (n, 2) points each, n >= 1, as `trajectory.coarse_of` makes them.
         start_xy_m: place of the robot.
         tube_m: deviations from a straight line of less than half of this are not turns.
-
-    Raises:
-        RefineError: there is no segment, a segment has no points, or a point is not finite.
     """
     legs: list[Leg] = []
-    last = np.array([*start_xy_m, 0.0])
-    for number, segment in enumerate(segments, start=1):
-        points = np.asarray(segment, np.float64)
-        if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
-            raise RefineError(
-                f"segment {number} of the trajectory: expected n points as an array (n, 2) or "
-                f"(n, 3), got {points.shape}; ask for the trajectory again"
-            )
-        if not np.isfinite(points).all():
-            raise RefineError(
-                f"segment {number} of the trajectory has NaN or inf; ask for the trajectory again"
-            )
-        points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    last = np.array(start_xy_m)
+    for points in segments:
         # Index k of the polyline with `last` in front is the end of `points[:k]`.
         bends = _bends(np.concatenate([last[None], points]), 0.5 * tube_m)
         for part in np.split(points, bends):
             legs.append(Leg(part, ends_segment=False))
         legs[-1] = Leg(legs[-1].points_m, ends_segment=True)
         last = points[-1]
-    if not legs:
-        raise RefineError("the trajectory has no segment; ask for the trajectory again")
     return tuple(legs)
 
 
@@ -83,8 +67,8 @@ def _bends(points_m: np.ndarray, tolerance_m: float) -> list[int]:
 
     Turns are counted from the start, or from the bend before. No index is 0.
     """
-    rough = simplified(points_m[:, :2], tolerance_m)
-    headings = headings_rad(points_m[rough, :2])[:-1]
+    rough = simplified(points_m, tolerance_m)
+    headings = headings_rad(points_m[rough])[:-1]
     found, first = list[int](), headings[0] if len(headings) else 0.0
     for k in range(1, len(headings)):
         if math.cos(headings[k] - first) <= _COS_TURN:

@@ -37,11 +37,6 @@ def system_prompt() -> str:
     return resources.files("edge.tasks").joinpath("prompt.txt").read_text(encoding="utf-8")
 
 
-def prompt_version() -> str:
-    """Return the version of the prompt, from its first line."""
-    return system_prompt().partition("\n")[0].removeprefix("Version ").strip()
-
-
 def task_text(instruction: str, scene: Scene, limits: TrajectoryLimits, why: str = "") -> str:
     """Return the text part of a request: the scene and the instruction.
 

@@ -18,10 +18,10 @@ from edge.tasks.legs import Leg, RefineError, cut_into_legs
 from edge.tasks.scene.ground import ESCAPE_M
 from edge.tasks.scene.scene import Scene
 from edge.tasks.scene.value_map import BRIDGE, HIGH, PathMargins, closed_cells, value_map
-from edge.tasks.sentences.speeds import headings_rad, speeds_mps, times_s
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_weights
 from edge.trajectory.pursuit import MotionLimits
+from edge.trajectory.speeds import headings_rad, speeds_mps, times_s
 from edge.trajectory.spline import b_spline
 
 SPACING_M = 0.1
@@ -40,17 +40,15 @@ class RefinedTrajectory:
     """A trajectory to drive, and how it was made.
 
     Attributes:
-        poses: (n, 4) float64: x, y, z [m] and heading [rad] in `map`, n >= 1.
+        poses: (n, 4) float64: x, y, z [m] and heading [rad] in `map`, n >= 1. The z is 0.
         speeds_mps: (n,) float64; 0 at the last pose.
         times_s: (n,) float64, from 0 when the robot faces along the path.
         leg: (n,) int64, index into `legs`.
         legs: legs of the coarse trajectory that were refined.
         drivable: ids of the regions chosen for it.
         heading_rad: requested heading at the end; None: along the path.
-        cost_m: cost of the path in metres of the tube's ground (`value_map`).
         control_m: distance between the spline's control points; 0: the path is A*'s own, because
             every spline of `CONTROL_M` entered a closed cell or cost too much (`MAX_COST_RATIO`).
-        off_region_m: length of the path over ground that was not chosen.
         notes: differences from the request, a line each.
     """
 
@@ -61,9 +59,7 @@ class RefinedTrajectory:
     legs: tuple[Leg, ...]
     drivable: frozenset[int]
     heading_rad: float | None
-    cost_m: float
     control_m: float
-    off_region_m: float
     notes: tuple[str, ...]
 
 
@@ -73,7 +69,6 @@ def refine(
     drivable: Collection[int],
     margins: PathMargins,
     limits: MotionLimits,
-    speed_mps: float = 0.0,
     heading_rad: float | None = None,
 ) -> RefinedTrajectory:
     """Run A* over the value map through the ends of the coarse segments, then fit a spline.
@@ -84,19 +79,18 @@ def refine(
 
     Args:
         scene: what is around the robot.
-        segments: each (n, 2 or 3) float64 in `map`; points without a height get 0.
+        segments: each (n, 2) float64 in `map`.
         drivable: ids of the regions chosen; empty: any.
         margins: clearance, and radius of the tube around the coarse trajectory.
         limits: highest speeds and accelerations.
-        speed_mps: current speed of the robot.
         heading_rad: heading of the last pose; None: along the path.
 
     Raises:
-        RefineError: points are invalid, an end cannot be reached, or the robot is shut in.
+        RefineError: an end cannot be reached, or the robot is shut in.
     """
     legs = cut_into_legs(segments, (scene.pose.x_m, scene.pose.y_m), margins.tube_m)
     chosen = frozenset(drivable) or frozenset(scene.regions)
-    return refine_legs(scene, legs, chosen, margins, limits, speed_mps, heading_rad)
+    return refine_legs(scene, legs, chosen, margins, limits, heading_rad)
 
 
 def refine_again(
@@ -105,7 +99,6 @@ def refine_again(
     index: int,
     margins: PathMargins,
     limits: MotionLimits,
-    speed_mps: float = 0.0,
 ) -> RefinedTrajectory:
     """Refine the rest of a trajectory, from the robot's place, on the current map.
 
@@ -115,10 +108,10 @@ def refine_again(
         RefineError: see `refine`.
     """
     first, *rest = before.legs[before.leg[index] :]
-    away = np.hypot(*(first.points_m[:, :2] - (scene.pose.x_m, scene.pose.y_m)).T)
+    away = np.hypot(*(first.points_m - (scene.pose.x_m, scene.pose.y_m)).T)
     ahead = first.points_m[int(np.argmin(away)) :]
     legs = (Leg(ahead, first.ends_segment), *rest)
-    return refine_legs(scene, legs, before.drivable, margins, limits, speed_mps, before.heading_rad)
+    return refine_legs(scene, legs, before.drivable, margins, limits, before.heading_rad)
 
 
 def refine_legs(
@@ -127,12 +120,11 @@ def refine_legs(
     drivable: frozenset[int],
     margins: PathMargins,
     limits: MotionLimits,
-    speed_mps: float,
     heading_rad: float | None,
 ) -> RefinedTrajectory:
     """Refine a trajectory that is already cut into legs; see `refine`."""
     pose = scene.pose
-    coarse = np.concatenate([[(pose.x_m, pose.y_m)], *(leg.points_m[:, :2] for leg in legs)])
+    coarse = np.concatenate([[(pose.x_m, pose.y_m)], *(leg.points_m for leg in legs)])
     costmap = value_map(scene.occupancy, scene.regions_grid, drivable, coarse, margins)
     start_m = _find_start(costmap, scene, margins)
     costmap.weight[~_reachable(costmap, start_m)] = 0
@@ -146,7 +138,6 @@ def refine_legs(
         notes.append(
             "not smoothed: every spline came too close to an obstacle, or left the chosen ground"
         )
-    cost_m = smoothing.polyline_cost_m(costmap, points)
     off_m = _length_m(costmap, points, costmap.weight == HIGH)
     unseen_m = _length_m(costmap, points, costmap.weight == BRIDGE)
     for length_m, kind in ((unseen_m, "seen"), (off_m, "chosen")):
@@ -154,22 +145,19 @@ def refine_legs(
             notes.append(f"{length_m:.1f} m of the path are over ground that was not {kind}")
     if escaped_m > 0.0:
         points, leg = np.concatenate([[(pose.x_m, pose.y_m)], points]), np.append(leg[:1], leg)
-    heights_m = _heights_m(points, leg, kept_legs)
     headings = headings_rad(points) if len(points) > 1 else np.array([pose.yaw_rad])
     if heading_rad is not None:
         headings[-1] = heading_rad
-    speeds = speeds_mps(points, limits, speed_mps)
+    speeds = speeds_mps(points, limits)
     return RefinedTrajectory(
-        poses=np.column_stack([points, heights_m, headings]),
+        poses=np.column_stack([points, np.zeros(len(points)), headings]),
         speeds_mps=speeds,
         times_s=times_s(points, speeds, limits.accel_mps2),
         leg=leg,
         legs=kept_legs,
         drivable=drivable,
         heading_rad=heading_rad,
-        cost_m=cost_m,
         control_m=control_m,
-        off_region_m=off_m,
         notes=tuple(notes),
     )
 
@@ -224,7 +212,7 @@ def _find_ends(
     """
     kept_legs: list[Leg] = []
     ends: list[tuple[float, float]] = []
-    before = np.empty((0, 3))
+    before = np.empty((0, 2))
     for leg in legs:
         points = np.concatenate([before, leg.points_m])
         wanted = (float(points[-1, 0]), float(points[-1, 1]))
@@ -244,7 +232,7 @@ def _find_ends(
             )
         kept_legs.append(Leg(points, leg.ends_segment))
         ends.append(end)
-        before = np.empty((0, 3))
+        before = np.empty((0, 2))
     return tuple(kept_legs), ends
 
 
@@ -351,27 +339,6 @@ def _length_m(costmap: CostMap, points_m: np.ndarray, cells: np.ndarray) -> floa
     at = costmap.grid_of(0.5 * (points_m[:-1] + points_m[1:])).astype(np.int64)
     legs = np.hypot(*np.diff(points_m, axis=0).T)
     return float(legs[cells[at[:, 1], at[:, 0]]].sum())
-
-
-def _heights_m(points_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]) -> np.ndarray:
-    """Return the heights (n,) of the coarse trajectory, by the share of each leg that is done."""
-    heights = np.zeros(len(points_m))
-    before = legs[0].points_m[:1]
-    for k, coarse in enumerate(legs):
-        on_leg = leg == k
-        path_m = np.concatenate([before, coarse.points_m])
-        if on_leg.any():
-            heights[on_leg] = np.interp(
-                _shares(points_m[on_leg]), _shares(path_m[:, :2]), path_m[:, 2]
-            )
-        before = path_m[-1:]
-    return heights
-
-
-def _shares(points_m: np.ndarray) -> np.ndarray:
-    """Return the share (n,) of a polyline's length that is before each point, from 0 to 1."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
-    return along / max(along[-1], 1e-9)
 
 
 def _centre(costmap: CostMap, cell: tuple[int, int]) -> tuple[float, float]:

@@ -17,10 +17,10 @@ from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M
 from edge.tasks.scene.ground import ESCAPE_M, ReachableGround
+from edge.tasks.scene.value_map import IN_ZONE
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS
 
-MOST_HEIGHT_M = 1000.0  # largest height of a point, up or down
 _SHOWN = 40  # most characters of a text from a script in a message
 MAX_POINTS, MAX_SEGMENTS = 5_000, 50
 """Largest numbers of points and of segments of a trajectory that a script hands over."""
@@ -35,7 +35,7 @@ class CoarseTrajectory:
     """A trajectory as its writer gave it, before it is refined.
 
     Attributes:
-        segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each segment begins near the end
+        segments: (n, 2) float64 each, in `map`, n >= 1; each segment begins near the end
             of the segment before.
         regions: ids of the drivable regions in which it should stay; empty: any.
         speed_mps: requested speed; None: the robot's usual speed.
@@ -50,7 +50,7 @@ class CoarseTrajectory:
     @property
     def points_m(self) -> np.ndarray:
         """All points in a row, (n, 2) float64."""
-        return np.concatenate([np.empty((0, 2)), *(points[:, :2] for points in self.segments)])
+        return np.concatenate([np.empty((0, 2)), *self.segments])
 
 
 def coarse_of(
@@ -95,7 +95,7 @@ def coarse_of(
 def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryLimits) -> None:
     """Check that a trajectory may be refined and driven.
 
-    Each point must be finite, in the map, reachable, and clear of occupied cells. The step from the
+    Each point must be in the map, reachable, and clear of occupied cells. The step from the
     robot to the first point, and each step between points, must be at most `max_jump_m` long with
     nothing occupied in between. Within `ESCAPE_M` of the robot, points may be closer to an
     obstacle.
@@ -105,10 +105,6 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
             point.
     """
     scene = ground.scene
-    if not coarse.segments:
-        raise TrajectoryError("the trajectory has no segments")
-    if empty := [k for k, points in _enumerate_from_1(coarse.segments) if not len(points)]:
-        raise TrajectoryError(f"segment {empty[0]} of the trajectory has no points")
     for k, points in _enumerate_from_1(coarse.segments):
         _check_points(points, k, ground)
     if unknown := [region for region in coarse.regions if region not in scene.regions]:
@@ -155,31 +151,22 @@ def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
     return float(value)
 
 
-def point(value: Any, name: str) -> tuple[float, ...]:
-    """Return a point (x, y) or (x, y, z) in `map` from a script, in metres.
+def point(value: Any, name: str) -> tuple[float, float]:
+    """Return a point (x, y) in `map` from a script, in metres; of (x, y, z) without its height.
 
     Raises:
         TrajectoryError: the value is not a point.
     """
     if not _is_point(value):
         raise TrajectoryError(f"{name}: expected a point (x, y), got {shown(value)}")
-    limits = (FARTHEST_M, FARTHEST_M, MOST_HEIGHT_M)
-    axes = zip(value, "xyz", limits, strict=False)
-    return tuple(number(v, f"{name}: {axis}", largest) for v, axis, largest in axes)
+    return number(value[0], f"{name}: x"), number(value[1], f"{name}: y")
 
 
 def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> None:
     scene, occupancy = ground.scene, ground.scene.occupancy
-    for i, (x, y, *z) in _enumerate_from_1(points.tolist()):
+    for i, (x, y) in _enumerate_from_1(points.tolist()):
         where = f"point {i} of segment {segment}, ({x:g}, {y:g})"
-        if not all(map(math.isfinite, (x, y, *z))):
-            raise TrajectoryError(f"{where}, is not finite")
         cell = occupancy.cell_of(x, y)
-        if any(abs(height_m) > MOST_HEIGHT_M for height_m in z):
-            raise TrajectoryError(
-                f"{where}, has height {z[0]:g} m; it must be from {-MOST_HEIGHT_M:g} to "
-                f"{MOST_HEIGHT_M:g} m"
-            )
         if cell is None:
             x0, x1, y0, y1 = occupancy.extent_m
             raise TrajectoryError(
@@ -198,6 +185,8 @@ def _reason_not_reachable(ground: ReachableGround, cell: tuple[int, int]) -> str
     occupied = ground.scene.occupancy.cells[cell]
     if occupied < 0 and not ground.scene.regions_grid.cells[cell]:
         return "was never seen to be free"
+    if occupied == IN_ZONE:
+        return "is in a zone that is closed to the robot"
     return "is occupied" if occupied > 0 else "is too close to what is occupied"
 
 
@@ -217,12 +206,8 @@ def _point_name(segments: Sequence[np.ndarray], index: int) -> str:
 
 
 def _segment(points: list[Any], segment: int) -> np.ndarray:
-    rows = [
-        point(value, f"point {i} of segment {segment}") for i, value in _enumerate_from_1(points)
-    ]
-    if len(set(map(len, rows))) > 1:
-        raise TrajectoryError(f"segment {segment} mixes points (x, y) with points (x, y, z)")
-    return np.array(rows, np.float64)
+    named = _enumerate_from_1(points)
+    return np.array([point(value, f"point {i} of segment {segment}") for i, value in named])
 
 
 def _is_point(value: Any) -> bool:

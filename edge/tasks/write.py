@@ -14,7 +14,7 @@ from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import ScriptFunctions
-from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, prompt_version, with_new_objects
+from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, with_new_objects
 from edge.tasks.scene.ground import ReachableGround, ground_of
 from edge.tasks.scene.scene import Scene
 from edge.tasks.script import ScriptLimits, run_script
@@ -57,23 +57,19 @@ class WrittenTrajectory:
     """A trajectory and how it was written.
 
     Attributes:
-        instruction: the text that was given.
-        ground: the ground on which the trajectory was checked.
+        reachable: the ground on which the trajectory was checked.
         understood: interpretation by the rules, in words; "" for a model.
         rounds: answers of a model, oldest first; the last one gave the trajectory.
-        prompt: version of the model's prompt; "" for the rules.
         stops_at: id of the object at which the entire trajectory ends, as near as the robot gets;
             None if it ends elsewhere or a model wrote it.
         stops: for each step, the ids of the objects that the robot stops at in this step; () for a
             step without a stop. Empty if a model wrote the trajectory.
     """
 
-    instruction: str
     coarse: CoarseTrajectory
-    ground: ReachableGround
+    reachable: ReachableGround
     understood: str = ""
     rounds: tuple[PlanAttempt, ...] = ()
-    prompt: str = ""
     stops_at: int | None = None
     stops: tuple[tuple[int, ...], ...] = ()
 
@@ -139,9 +135,7 @@ def write_trajectory(
     if isinstance(config.planner, WriterModel):
         rounds = _ask_model(instruction, functions, config.planner, on_answer, why)
         assert functions.trajectory is not None
-        return WrittenTrajectory(
-            instruction, functions.trajectory, functions.ground, "", rounds, prompt_version()
-        )
+        return WrittenTrajectory(functions.trajectory, functions.ground, "", rounds)
     steps = rules.plan_by_rules(instruction, functions, step_slice)
     assert functions.trajectory is not None
     understood = describe_steps(steps)
@@ -150,7 +144,7 @@ def write_trajectory(
     if step_slice.stop is None:  # the robot stops after the last step of the instruction
         stops[-1] = tuple(obj.id for obj in steps[-1].objects)
     return WrittenTrajectory(
-        instruction, functions.trajectory, functions.ground, understood,
+        functions.trajectory, functions.ground, understood,
         stops_at=stops_at, stops=tuple(stops),
     )  # fmt: skip
 

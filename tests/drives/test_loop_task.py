@@ -14,7 +14,7 @@ from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.behaviours import plan_worker
+from edge.loop.behaviours import driven_trajectory, plan_worker
 from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.monitoring.metrics import SERVICE_METRICS
 from edge.loop.requests.handlers import handle_mission, mission_verbs
@@ -265,6 +265,37 @@ def test_the_robot_drives_around_an_obstacle_on_the_trajectory():
     assert loop.service.status.phase == "reached", loop.notes.events
     assert facts.refinements >= 2
     assert any("obstacle on the path" in event for event in loop.notes.events)
+
+
+MAT = Zone("mat", "keep_out", ((3.6, 2.1), (4.2, 2.1), (4.2, 2.7), (3.6, 2.7)))
+"""A zone between the sofa and a robot that starts at (5, 1)."""
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_task_drives_around_a_zone(is_late):
+    sim = {"lockstep": True, "step_s": 0.2, "start": (5.0, 1.0, 2.2)}
+    loop, in_zone = closed("go to the sofa", sim=sim), 0
+    service = loop.service
+    if is_late:
+        until(loop, "driving").step()
+    service.change_site(Site((MAT,)), loop.drive.motion.stamp_ns)
+    while not service.status.done and loop.seconds < 60.0:
+        loop.step()
+        pose = loop.drive.motion.pose
+        in_zone += service.map.grid.zones.contains(pose.x_m, pose.y_m)
+    assert service.status.phase == "reached", loop.notes.events
+    assert (in_zone, loop.drive.motion.collisions) == (0, 0)
+    assert loop.distance_m("sofa") <= 1.0
+    assert service.result().task().refinements <= 3
+
+
+def test_a_task_fails_if_no_trajectory_removes_the_obstacle(monkeypatch):
+    monkeypatch.setattr(driven_trajectory, "blocked_ahead_m", lambda *_: 1.0)
+    loop = closed().run(10.0)
+    status = loop.service.status
+    assert (status.phase, status.reason) == ("failed", "obstacle on the path 1.0 m ahead")
+    assert "writing a new trajectory from here" in " ".join(loop.notes.events)
+    assert len(loop.notes.events) < 30
 
 
 def by_model(server: ChatServer, **planner: object) -> ClosedLoop:

@@ -12,7 +12,6 @@ from simulated import simulated
 from edge.geometry import SE2
 from edge.loop.goals.candidates import CandidatePool
 from edge.loop.goals.goal import GoalTracker
-from edge.mapping.coverage import Viewpoint
 from edge.mapping.results import Frontiers
 from edge.policies.base import FRONTIER, INSTANCE, PolicyInput, ScorerOutputs
 from edge.types import Goal, GoalStatus, Instance, Observation
@@ -81,13 +80,13 @@ class Map:
     def search(self, reach) -> bool:
         return True
 
-    def is_worth_visiting(self, view: Viewpoint) -> bool:
+    def is_worth_visiting(self, view: SE2) -> bool:
         return True
 
-    def write_off(self, view: Viewpoint) -> None:
+    def write_off(self, view: SE2) -> None:
         self.view = None
 
-    def area_m2(self, view: Viewpoint) -> float:
+    def area_m2(self, view: SE2) -> float:
         return self.view_m2
 
     def distance_m(self, x: float, y: float) -> float:
@@ -476,7 +475,7 @@ def test_without_candidates_or_views_the_search_is_exhausted():
 
 def test_a_badly_seen_view_is_looked_at_again():
     case = Case()
-    case.map.view, case.map.camera_yaw_rad = Viewpoint(1.0, 2.0, 0.5), math.pi / 2
+    case.map.view, case.map.camera_yaw_rad = SE2(1.0, 2.0, 0.5), math.pi / 2
     case.turn_round()
     goal = case.tick()
     # A camera that looks aside is turned to the view.
@@ -508,7 +507,7 @@ def test_if_a_confirmed_object_has_moved_known_space_is_searched(
     case.instances.sure = (9,) if confirmed else ()
     case.pool.candidates.path_m[:] = 1.0
     case.pool.candidates.gain_m2[:] = gain_m2
-    case.map.view, case.map.view_m2 = Viewpoint(1.0, 0.0, 0.5), view_m2
+    case.map.view, case.map.view_m2 = SE2(1.0, 0.0, 0.5), view_m2
     case.choose(chair(9, 3.0, 0.8))
     case.answer("reached")
     case.goals.check_progress(case.map, there, case.mission, 0, case.now_ns, lambda *_: False)
@@ -584,7 +583,7 @@ def test_the_search_waits_for_moved_obstacles_before_the_end(path_m):
     case.map.arrived = True
     case.tick()
     assert case.map.arrived, "ten seconds between two tries"
-    case.map.view = Viewpoint(1.0, 2.0, 0.5)
+    case.map.view = SE2(1.0, 2.0, 0.5)
     case.goals.chooser.abandon()
     view = case.tick()
     assert view.kind == "spin"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from edge.geometry import SE2
 from edge.loop.goals.search_state import NextBestView
-from edge.mapping.coverage import Viewpoint
 
 ENOUGH = 3
 
@@ -13,8 +13,8 @@ ENOUGH = 3
 class Coverage:
     """Has some views to offer; the search for one takes `steps` calls."""
 
-    def __init__(self, *views: Viewpoint, steps: int = 1) -> None:
-        self.view: Viewpoint | None = None
+    def __init__(self, *views: SE2, steps: int = 1) -> None:
+        self.view: SE2 | None = None
         self.left, self.shown = list(views), set()
         self.steps, self._calls = steps, 0
 
@@ -26,27 +26,27 @@ class Coverage:
         self.view = self.left[0] if self.left else None
         return self._calls >= self.steps
 
-    def is_worth_visiting(self, view: Viewpoint) -> bool:
+    def is_worth_visiting(self, view: SE2) -> bool:
         return view not in self.shown
 
-    def write_off(self, view: Viewpoint) -> None:
+    def write_off(self, view: SE2) -> None:
         self.left.remove(view)
 
 
 class Case:
     """A survey of a map with some views."""
 
-    def __init__(self, *views: Viewpoint, steps: int = 1) -> None:
+    def __init__(self, *views: SE2, steps: int = 1) -> None:
         self.coverage = Coverage(*views, steps=steps)
         self.map = SimpleNamespace(coverage=self.coverage, travel_cost=None)
         self.survey = NextBestView(ENOUGH)
         self.images = 0
 
-    def choose(self) -> Viewpoint | None:
+    def choose(self) -> SE2 | None:
         return self.survey.choose(self.map, self.images)
 
 
-A, B = Viewpoint(1.0, 2.0, 0.5), Viewpoint(3.0, 4.0, -0.5)
+A, B = SE2(1.0, 2.0, 0.5), SE2(3.0, 4.0, -0.5)
 
 
 def test_a_view_lasts_until_it_has_enough_images():

@@ -12,7 +12,7 @@ from mapping_twins import CAMERA, T_BASE_CAMERA, complete, look, room, seen_arou
 
 from edge.geometry import SE2, se3, to_optical
 from edge.mapping import coverage as cv
-from edge.mapping.coverage import COUNT, KEEP, MIN_VIEW_M2, WRITE_OFF, Coverage, Viewpoint
+from edge.mapping.coverage import COUNT, KEEP, MIN_VIEW_M2, WRITE_OFF, Coverage
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
 from edge.mapping.window import Window
@@ -32,7 +32,7 @@ def explored(half_m: float = 2.0) -> RollingMap:
     return grid
 
 
-def searched(grid: RollingMap) -> Viewpoint | None:
+def searched(grid: RollingMap) -> SE2 | None:
     grid.coverage.restart_search()
     while not grid.coverage.search(grid.travel_cost):
         pass
@@ -172,7 +172,7 @@ def test_the_series_of_views_ends(how):
         before = np.count_nonzero(window(grid) >= 2)
         if how == "looked from there":
             for _ in range(2):
-                ahead = SE2(view.x_m, view.y_m, view.heading_rad)
+                ahead = view
                 coverage.on_image(seen_from(ahead, to_optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
             assert not coverage.is_worth_visiting(view)
             assert coverage.area_m2(view) < 1.1 * MIN_VIEW_M2

@@ -81,7 +81,7 @@ def test_the_area_agrees_with_its_twin(seed):
 def test_a_spin_covers_every_ray_the_shorter_way_round(rays, ahead, expected):
     ray = np.zeros(g.RAYS)
     ray[rays] = 0.5
-    turn, sweep, area = g.best_sweep(ray, np.uint64(0), FOV, ahead)
+    turn, sweep, area = g.best_sweep(ray, np.zeros(g.RAYS, np.bool_), FOV, ahead)
     assert (np.sign(turn), sweep) == (expected[0], pytest.approx(max(expected[1], 0.0)))
     assert abs(turn) <= 2 * math.pi / 3 + 1e-9
     assert area == pytest.approx(0.5 * len(rays))

@@ -11,9 +11,11 @@ import pytest
 import yaml
 from simulated import simulated
 
-from edge.config import ConfigError
+from edge.config import ConfigError, MappingConfig
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.warmup import warm_up
+from edge.mapping.grid import RollingMap
+from edge.mapping.view import MapView
 from edge.policies import make_policy
 from edge.policies.base import INSTANCE
 
@@ -24,6 +26,13 @@ LOCKSTEP = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}
 def block(language: str) -> str:
     (found,) = re.findall(rf"```{language}\n(.*?)```", PAGE, re.S)
     return found
+
+
+def test_the_page_names_only_attributes_of_the_map():
+    (row,) = re.findall(r"^\| `map` \|.*$", PAGE, re.M)
+    names = [name.split(".")[0] for name in re.findall(r"`([\w.]+)`", row)]
+    view = MapView(RollingMap(MappingConfig()))
+    assert [name for name in names if not hasattr(view, name)] == ["map", "targets"]
 
 
 @pytest.fixture

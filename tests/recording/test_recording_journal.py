@@ -180,10 +180,11 @@ def test_all_fields_of_a_plan_survive_a_round_trip():
     assert isinstance(found["grounds"], frozenset)
 
 
-def test_a_plan_recorded_without_its_grounds_is_read():
+def test_a_plan_of_an_earlier_version_is_read():
     (entry,) = again(LoopInput(0, "result", {"worker": "task", "result": PlanResult(error="none")}))
     stored = entry.fields["result"]
     assert stored.pop("grounds") == []
+    stored["cost_m"] = 1.0  # of an earlier version
     assert journal.decoded(PlanResult, stored).error == "none"
 
 
@@ -194,7 +195,7 @@ def test_a_refined_trajectory_survives_a_round_trip(heading_rad):
     poses = np.column_stack([line, np.zeros(2), [0.0, heading_rad or 0.0]])
     refined = RefinedTrajectory(
         poses, np.array([0.0, 0.0]), np.array([0.0, 2.0]), np.zeros(2, np.int64),
-        (Leg(line, True),), frozenset({2, 1}), heading_rad, 1.0, 0.5, 0.0, ("a note",),
+        (Leg(line, True),), frozenset({2, 1}), heading_rad, 0.5, ("a note",),
     )  # fmt: skip
     back = planned(PlanResult(refined)).refined
     assert back.heading_rad == heading_rad

@@ -7,15 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from results import observation
 from ros_messages import from_ros
 from small_scenes import BODY, LIMITS, scene
 
-from edge.config import MappingConfig
-from edge.geometry import SE2
+from edge.config import MappingConfig, TrajectoryLimits
+from edge.geometry import SE2, se3
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.tasks.follow import blocked_ahead_m, goal_ahead, index_at_goal, path_message
 from edge.tasks.refine import RefinedTrajectory, refine
+from edge.tasks.scene.ground import ground_of
+from edge.tasks.scene.map_scene import scene_of_map, uninflated
+from edge.tasks.trajectory import CoarseTrajectory, TrajectoryError, check
 from edge.trajectory.smoothing import resample
 
 
@@ -159,6 +163,46 @@ def test_obstacles_on_the_path_are_found(boxes, from_x_m, expected_m):
     assert got == (None if expected_m is None else pytest.approx(expected_m, abs=0.2))
 
 
+def on_floor() -> RollingMap:
+    """Free floor of 16 m by 16 m, with the robot at (-7, 0)."""
+    grid = RollingMap(
+        MappingConfig(input="cloud", resolution_m=0.1, range_m=17.0, extent_m=40.0, inflation_m=0.4)
+    )
+    x, y = np.meshgrid(np.arange(-8.0, 8.0, 0.1), np.arange(-8.0, 8.0, 0.1))
+    cloud = np.stack((x + 7.0, y, np.full_like(x, -1.0)), axis=-1).reshape(-1, 3)
+    for _ in range(3):
+        grid.update_cloud(cloud.astype(np.float32), se3(x_m=-7.0), se3(z_m=1.0))
+    return grid
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_refined_path_leads_around_zones_and_the_map_agrees(seed):
+    rng, grid, changed = np.random.default_rng(seed), on_floor(), np.zeros(4, np.int64)
+    zones = [rng.uniform((-4.0, -2.0), (4.0, 2.0)) + rng.uniform(-1.5, 1.5, (3, 2))]
+    zones += [np.array([(-1.0, -0.5), (0.0, -0.7), (0.3, 0.9)])]
+    grid.zones.set(zones, [], changed)
+    view, at = MapView(grid), replace(observation(0), T_map_base=se3(x_m=-7.0))
+    where = scene_of_map(view, at, [], BODY.clearance_m)
+    straight = refine(scene(), [np.array([[7.0, 0.0]])], {1}, BODY, LIMITS)
+    around = refine(where, [np.array([[7.0, 0.0]])], (), BODY, LIMITS)
+    blocked = [blocked_ahead_m(path, view, k) for path in (straight, around) for k in (0, 60)]
+    assert blocked[0] is not None
+    assert blocked[2:] == [None, None]
+    assert around.poses[-1, :2].tolist() == [7.0, 0.0]
+
+
+def test_zones_hide_nothing_and_are_open_to_a_robot_inside():
+    grid, changed = on_floor(), np.zeros(4, np.int64)
+    grid.zones.set([np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])], [], changed)
+    at = replace(observation(0), T_map_base=se3(x_m=-7.0))
+    ground = ground_of(scene_of_map(MapView(grid), at, [], BODY.clearance_m), BODY.clearance_m)
+    assert ground.has_line_of_sight((-5.0, 0.0), (5.0, 0.0))
+    assert not ground.is_free(0.0, 0.0)
+    with pytest.raises(TrajectoryError, match="is in a zone that is closed to the robot; the near"):
+        check(CoarseTrajectory((np.array([[0.0, 0.0]]),)), ground, TrajectoryLimits())
+    assert (uninflated(grid, SE2(0.0, 0.0, 0.0)).cells <= 0).all()
+
+
 def test_outside_the_map_nothing_is_known():
     trajectory = line()
     trajectory.poses[:, 0] -= 40.0
@@ -166,7 +210,7 @@ def test_outside_the_map_nothing_is_known():
 
 
 def test_the_trajectory_is_sent_as_a_path():
-    trajectory = refine(scene(), [np.array([[0.0, 0.0, 0.5], [0.0, 7.0, 0.5]])], {1}, BODY, LIMITS)
+    trajectory = refine(scene(), [np.array([[0.0, 0.0], [0.0, 7.0]])], {1}, BODY, LIMITS)
     path = from_ros(path_message(trajectory, 10**9 + 5), "nav_msgs/msg/Path")
     assert (path.header.frame_id, path.header.stamp.nanosec) == ("map", 5)
     got = np.array(

@@ -122,8 +122,8 @@ def test_old_votes_for_ground_are_replaced(put, monkeypatch):
     grid.update_cloud(seen.cloud_m, seen.T_map_base, seen.T_base_lidar)
 
     def kinds_at(*places_m):
-        kind = votes.classify(uninflated(grid), seen.pose)
-        return [kind[uninflated(grid).cell_of(*xy_m)] for xy_m in places_m]
+        kind = votes.classify(uninflated(grid, seen.pose), seen.pose)
+        return [kind[uninflated(grid, seen.pose).cell_of(*xy_m)] for xy_m in places_m]
 
     add_ground(votes, ground, green, OUTDOORS)
     assert kinds_at((10.0, 0.0), (-10.0, 0.0)) == [3, 0]
@@ -132,7 +132,7 @@ def test_old_votes_for_ground_are_replaced(put, monkeypatch):
     monkeypatch.setattr(ground_votes, "MOST_VOTES", 500)
     add_ground(votes, ground, behind, OUTDOORS)
     assert kinds_at((10.0, 0.0))[0] == 0
-    assert votes.classify(uninflated(grid), seen.pose).any()
+    assert votes.classify(uninflated(grid, seen.pose), seen.pose).any()
 
 
 def test_without_a_network_no_kind_is_guessed():

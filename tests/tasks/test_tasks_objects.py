@@ -147,14 +147,6 @@ def test_an_object_takes_its_most_frequent_label():
     assert (obj.label, obj.caption, obj.hits, obj.score) == ("car", "red car", 3, 0.5)
 
 
-def test_embeddings_are_averaged_over_pictures():
-    things = ObjectMap()
-    for value in (None, 1.0, 4.0):
-        embedding = None if value is None else np.array([value, 0.0], np.float32)
-        things.add("car", block(), embedding=embedding)
-    np.testing.assert_allclose(things.objects[1].embedding, [2.0, 0.0])
-
-
 def test_objects_that_grow_together_merge_without_reused_ids():
     things = ObjectMap()
     for x_m in (0.0, 4.0):

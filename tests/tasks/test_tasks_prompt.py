@@ -17,7 +17,6 @@ from edge.tasks.prompt import (
     annotated_jpeg,
     describe,
     messages,
-    prompt_version,
     system_prompt,
 )
 from edge.tasks.scene.picture import draw_marks
@@ -33,9 +32,8 @@ def test_an_empty_scene_is_described():
     assert annotated_jpeg(street()) is None
 
 
-def test_the_prompt_has_a_version_and_five_parts_in_order():
+def test_the_prompt_has_five_parts_in_order():
     """OpenNav III-A1."""
-    assert prompt_version().isdecimal()
     parts = ("1. Functions", "2. Surroundings", "3. Collisions", "4. Plan first", "5. Script")
     places = [system_prompt().index(f"\n{part}") for part in parts]
     assert all(a < b for a, b in pairwise(places))

@@ -61,7 +61,7 @@ def test_a_hairpin_a_side_and_a_stop_are_driven(number):
     written = write_trajectory(instruction, episode.scene, CONFIG)
     ends_m = [segment[-1, :2] for segment in written.coarse.segments]
     refined = refine(
-        written.ground.scene, written.coarse.segments, written.coarse.regions,
+        written.reachable.scene, written.coarse.segments, written.coarse.regions,
         PathMargins(CONFIG.trajectory.clearance_m), MotionLimits(1.0, 1.0, 0.5, 1.0),
         heading_rad=written.coarse.heading_rad,
     )  # fmt: skip

@@ -14,6 +14,8 @@ from edge.geometry import SE2, CameraModel, se3, wrap_angle
 from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
+from edge.mission.language.words.tokens import TranslationError
+from edge.tasks.rules import parse_steps
 from edge.tasks.scene.frames import cloud_of, contours_of
 from edge.tasks.scene.ground import ground_of
 from edge.tasks.scene.map_scene import scene_of_map
@@ -272,6 +274,22 @@ def test_points_outside_later_boxes_are_dropped():
         reach_m = objects.confirmed_points_m(obj)[:, 1].max()
         assert (reach_m > -2.2) == (k == 0)
     assert obj.points_m[:, 1].max() > -2.2
+
+
+def test_the_rules_know_the_colours_that_the_service_saw():
+    car, seen = STREET[0], ObjectMap()
+    observation, _ = street(STREET)
+    add_detections(seen, found_in(observation, STREET), 20.0)
+    points = next(obj.points_m for obj in seen.objects.values() if obj.label == "car")
+    instance = Instance(7, "car", np.median(points, 0), points[::9], 0.8, 4, 0, 1)
+    grid = RollingMap(MAP)
+    grid.update_cloud(observation.cloud_m, observation.T_map_base, observation.T_base_lidar)
+    scene = scene_of_map(MapView(grid), observation, [instance], 0.3, object_map=seen)
+    assert scene.objects[7].caption.startswith("red car, ")
+    assert [obj.id for obj in parse_steps("go to the red car", scene)[0].objects] == [7]
+    assert car.label == scene.objects[7].label
+    with pytest.raises(TranslationError, match="describes none of them: car 7"):
+        parse_steps("go to the blue car", scene)
 
 
 def test_the_service_has_seen_nothing():

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scans import LIDAR, Box, street
 
 from edge.geometry import SE2, Grid
-from edge.tasks.scene import scan_kernels as kernels
 from edge.tasks.scene import terrain
 from edge.tasks.scene.terrain import (
     CELL_M,
@@ -221,12 +220,10 @@ def test_ground_agrees_with_its_twins(seed):
     random = np.random.default_rng(seed)
     points = random.uniform((-4, -4, -0.3), (4, 4, 0.6), (60, 3)).astype(np.float32)
     points[random.random(60) < 0.1] = np.nan
-    low = np.empty((12, 10), np.float32)
-    kernels.lowest(points, -3.0, -3.0, CELL_M, low)
-    np.testing.assert_array_equal(low, lowest_twin(points, -3.0, -3.0, low.shape))
-    ground, known = np.empty_like(low), np.empty(low.shape, np.bool_)
-    kernels.grow_ground(low, 5, 4, 0.0, STEP_M, SLOPE, CELL_M, 2, ground, known)
-    height_m, expected = known_twin(low, (5, 4), 0.0, 2)
+    found = terrain.estimate_ground(points, 0.0, 0.0, 0.0, 3.0)
+    ground, known = found.height_m.cells, found.seen.cells
+    low = lowest_twin(points, -3.0, -3.0, known.shape)
+    height_m, expected = known_twin(low, (6, 6), 0.0, round(terrain.GAP_M / CELL_M))
     np.testing.assert_array_equal(known, expected)
     np.testing.assert_array_equal(ground[known], height_m[known])
     assert np.isin(ground, ground[known]).all(), "filled with heights of ground"

@@ -142,21 +142,3 @@ def test_it_agrees_with_the_twin(seed, share, clearance_m, tube_m):
     sure = np.isfinite(wanted)
     np.testing.assert_array_equal(got[sure], wanted[sure])
     assert np.isin(got[~sure], (TUBE, DRIVABLE)).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"occupancy": np.zeros((30, 40), np.uint8)}, "expected int8 occupancy"),
-        ({"regions": np.zeros((30, 40), np.int8)}, "uint8 regions"),
-        ({"regions": np.zeros((30, 41), np.uint8)}, "differ in origin, resolution or shape"),
-        ({"drivable": (0,)}, "expected region ids from 1 to 255"),
-        ({"drivable": (256,)}, "expected region ids from 1 to 255"),
-    ],
-)
-def test_an_invalid_map_is_refused(change, words):
-    occupancy, regions = grids()
-    occupancy = replace(occupancy, cells=change.get("occupancy", occupancy.cells))
-    regions = replace(regions, cells=change.get("regions", regions.cells))
-    with pytest.raises(ValueError, match=words):
-        value_map(occupancy, regions, change.get("drivable", (1,)), LINE, BODY)

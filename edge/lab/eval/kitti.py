@@ -19,7 +19,7 @@ from edge.errors import UserError
 from edge.geometry import FARTHEST_M, CameraModel, invert
 from edge.host.c_stderr import silence_c_stderr
 from edge.host.files import read_regular
-from edge.tasks.scene.frames import plausible_points
+from edge.tasks.scene.frames import points_within
 from edge.tasks.scene.objects import clusters, downsample, overlap_share
 from edge.tasks.scene.pipeline import PerceptionPipeline
 from edge.tasks.scene.projection import in_picture
@@ -151,7 +151,7 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
             f"{folder}: frame {number}: {len(scan)} points but {len(label)} labels; fetch both "
             "files again"
         )
-    plausible = plausible_points(scan[:, :3])
+    plausible = points_within(scan[:, :3])
     scan, label = scan[plausible], label[plausible]
     P2 = calibration["P2"]
     height, width = bgr.shape[:2]

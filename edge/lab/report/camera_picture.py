@@ -10,7 +10,7 @@ import numpy as np
 
 from edge.geometry import CameraModel, invert
 from edge.tasks.scene.scene import Scene
-from edge.tasks.sentences.speeds import headings_rad
+from edge.trajectory.speeds import headings_rad
 
 COARSE_RGB, REFINED_RGB = (240, 140, 0), (214, 34, 91)  # of the two trajectories
 NEAREST_M = 0.3

@@ -35,6 +35,7 @@ class DrivenTrajectory:
         stop_index: Pose of the next stop, or the last pose.
         stop_objects: Id and label of each object at the next stop; empty at an end without objects.
         n_verified: Number of steps of the task whose stops were verified.
+        checked: True after the first check for obstacles.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class DrivenTrajectory:
         self._stops = plan.stops
         self._last = len(refined.poses) - 1
         self._checked_ns = 0
-        self.index = 0
+        self.index, self.checked = 0, False
         self.n_verified = n_verified
         self._find_next_stop()
 
@@ -95,7 +96,7 @@ class DrivenTrajectory:
         """
         if now_ns - self._checked_ns < CHECK_PERIOD_NS:
             return None
-        self._checked_ns = now_ns
+        self._checked_ns, self.checked = now_ns, True
         return blocked_ahead_m(self._refined, view, self.index)
 
     def _find_next_stop(self) -> None:

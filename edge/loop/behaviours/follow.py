@@ -55,6 +55,8 @@ TURNS = 3
 """Number of turns in a full circle, which the robot does before a model writes the trajectory."""
 SAME_PLACE_M = 0.5
 """If the robot is blocked twice within this distance, a new trajectory is written."""
+MAX_BLOCKED = 5
+"""If this many trajectories in a row are blocked as soon as they are made, a new one is written."""
 _MAX_TEXT_CHARS = 300
 
 
@@ -112,6 +114,7 @@ class FollowBehaviour:
         self._retry = PlanRetry()
         self._abandon_reason = ""  # reason why an earlier trajectory was abandoned
         self._blocked_at: SE2 | None = None
+        self._n_blocked = 0  # number of the newest trajectories that were blocked from the start
         self._stop: StopVerification | None = None  # the present or the last stop
 
     @property
@@ -343,8 +346,18 @@ class FollowBehaviour:
             if before is not None and pose.distance_to(before.x_m, before.y_m) < SAME_PLACE_M:
                 self._write_again(why, now_ns)
                 return
-        elif (away_m := drive.blocked_ahead_m(self._map.view, now_ns)) is not None:
-            why = f"obstacle on the path {away_m:.1f} m ahead"
+        # The way out of a zone is not the trajectory, and leads through closed cells.
+        elif goal is None or goal.kind != "zone_exit":
+            is_new = not drive.checked
+            away_m = drive.blocked_ahead_m(self._map.view, now_ns)
+            if is_new:
+                self._n_blocked = 0 if away_m is None else self._n_blocked + 1
+            if away_m is not None:
+                why = f"obstacle on the path {away_m:.1f} m ahead"
+            if self._n_blocked == MAX_BLOCKED:
+                self._n_blocked = 0
+                self._write_again(why, now_ns)
+                return
         if why:
             _log(self._mission, f"{why}: refining the rest again", now_ns)
             self._request_plan(observation, None, before=self._result)

@@ -110,7 +110,7 @@ class PlanRequest:
         observation: Observation with the robot's pose.
         instances: Objects of the targets.
         objects: Object map of the task.
-        ground: Votes of the task for kinds of ground; None: the ground has no kinds.
+        votes: Votes of the task for kinds of ground; None: the ground has no kinds.
         found: Detections of the image for a model; None if it gets none.
         before: Earlier result, whose trajectory is refined again from `index` on. None: write a new
             trajectory.
@@ -130,7 +130,7 @@ class PlanRequest:
     observation: Observation
     instances: Sequence[Instance]
     objects: ObjectMap
-    ground: GroundVotes | None
+    votes: GroundVotes | None
     found: Detections | None
     before: PlanResult | None = None
     index: int = 0
@@ -313,7 +313,7 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
             understood=written.understood, stops_at=stops_at, stops=stops,
         )  # fmt: skip
         refined = refine(
-            written.ground.scene, coarse.segments, coarse.regions, _margins(config),
+            written.reachable.scene, coarse.segments, coarse.regions, _margins(config),
             _motion_limits(config, result),
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
@@ -332,8 +332,8 @@ def _may_appear(error: TranslationError, request: PlanRequest) -> bool:
     """Return True if the network can name the ground that was not seen so far."""
     return (
         isinstance(error, UnseenGroundError)
-        and request.ground is not None
-        and error.kind in map(ground_kind, request.ground.kinds)
+        and request.votes is not None
+        and error.kind in map(ground_kind, request.votes.kinds)
     )
 
 
@@ -407,7 +407,7 @@ def _scene(request: PlanRequest) -> Scene:
         radius_m,
         request.found,
         object_map=request.objects,
-        ground=request.ground,
+        ground=request.votes,
     )
 
 

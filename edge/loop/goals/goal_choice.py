@@ -19,7 +19,7 @@ from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.goals.candidates import CandidatePool
 from edge.loop.goals.search_state import LASTING_NS, MAX_PLACES, TURNS, NextBestView, SearchState
-from edge.mapping.coverage import START_M, Viewpoint
+from edge.mapping.coverage import START_M
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
@@ -56,7 +56,7 @@ class TrackedGoal:
 
     goal: Goal
     peak: float = 0.0
-    view: Viewpoint | None = None
+    view: SE2 | None = None
     sent: bool = False
     ends_on_arrival: bool = True
     status: GoalStatus | None = None
@@ -354,7 +354,7 @@ class GoalChooser:
             return None
         if tracked is not None and tracked.view is view:
             return tracked
-        yaw_rad = wrap_angle(view.heading_rad - grid.coverage.camera_yaw_rad)
+        yaw_rad = wrap_angle(view.yaw_rad - grid.coverage.camera_yaw_rad)
         pose = SE2(view.x_m, view.y_m, yaw_rad)
         goal = goal_without_candidate(pose, context.now_ns, context.target)
         return TrackedGoal(goal, view=view)

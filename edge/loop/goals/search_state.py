@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge.geometry import SE2
 from edge.host.checkpoint import Arrays
 from edge.loop.goals.candidates import CandidatePool
-from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
@@ -271,11 +271,11 @@ class NextBestView:
         self.done = False
         self.views = 0
         self.images_needed = images_needed
-        self._view: Viewpoint | None = None
+        self._view: SE2 | None = None
         self._searching = self._unreachable = False
         self._images_at_arrival: int | None = None  # the detector's number of images at the arrival
 
-    def choose(self, grid: RollingMap, images: int) -> Viewpoint | None:
+    def choose(self, grid: RollingMap, images: int) -> SE2 | None:
         """Return the viewpoint to go to; None after the last one, during the search, or if none.
 
         Args:

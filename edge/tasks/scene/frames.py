@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from edge.geometry import invert
-from edge.tasks.scene.projection import points_of_masks
+from edge.tasks.scene.projection import in_picture, points_of_masks
 from edge.types import Detections, Observation
 
 _MARGIN_SHARE = 0.05
@@ -45,10 +45,10 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     return np.stack((x, y, z), axis=1).astype(np.float32), observation.T_base_camera
 
 
-def plausible_points(cloud_m: np.ndarray) -> np.ndarray:
-    """Return the points (n, 3) of a scan that are finite and not absurdly far, (n,) bool."""
+def points_within(cloud_m: np.ndarray, range_m: float = MAX_RANGE_M) -> np.ndarray:
+    """Return the points (n, 3) of a scan that are finite and within a range, (n,) bool."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.linalg.norm(cloud_m, axis=1) <= MAX_RANGE_M
+        return np.linalg.norm(cloud_m, axis=1) <= range_m
 
 
 def transformed(T: np.ndarray, points_m: np.ndarray) -> np.ndarray:
@@ -80,12 +80,10 @@ def outside_boxes(
     found: Detections, label: str, cloud_m: np.ndarray, T_base_cloud: np.ndarray
 ) -> np.ndarray:
     """Return the points in the picture that are clearly outside every box of a label, (n,) bool."""
-    observation, camera = found.observation, found.observation.camera
-    x, y, z = transformed(invert(observation.T_base_camera) @ T_base_cloud, cloud_m).T
-    ahead = z > 0.0
-    z = np.where(ahead, z, 1.0)
-    u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
-    outside = ahead & (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
+    observation = found.observation
+    T_camera_cloud = invert(observation.T_base_camera) @ T_base_cloud
+    at_px, outside = in_picture(cloud_m, T_camera_cloud, observation.camera)
+    u, v = at_px.T
     for box_px, k in zip(found.xyxy_px, found.class_id, strict=True):
         if found.prompts[k] == label:
             x0, y0, x1, y1 = box_px.tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from edge import names
 from edge.geometry import SE2, Grid, invert
 from edge.mapping.grid import RollingMap
+from edge.mapping.layers import ZONE
 from edge.mapping.view import MapView
 from edge.tasks.scene import terrain
 from edge.tasks.scene.captions import caption_with_place
@@ -17,7 +19,7 @@ from edge.tasks.scene.ground import reachable
 from edge.tasks.scene.ground_votes import GroundVotes
 from edge.tasks.scene.objects import SAME_SHARE, MapObject, ObjectMap, box_around, overlap_share
 from edge.tasks.scene.scene import Scene, SceneObject
-from edge.tasks.scene.value_map import open_cells
+from edge.tasks.scene.value_map import IN_ZONE, open_cells
 from edge.types import Detections, Instance, Observation
 
 _FLOOR = "floor"  # label of free ground without another name
@@ -51,7 +53,7 @@ def scene_of_map(
         [instance for instance in instances if len(instance.points_m)], object_map or ObjectMap()
     )
     contours = {} if found is None else _contours_by_object(objects, found)
-    occupancy = terrain.with_blind_spot(uninflated(view), observation.pose)
+    occupancy = terrain.with_blind_spot(uninflated(view, observation.pose), observation.pose)
     kind, labels = None, (_FLOOR,)
     if ground is not None:
         labels = (*ground.kinds, _FLOOR)
@@ -67,14 +69,14 @@ def _free_ground(occupancy: Grid, pose: SE2) -> np.ndarray:
 
 
 def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> list[MapObject]:
-    """Return the instances with all points that were seen of them.
+    """Return the instances with all points that were seen of them, and with their captions.
 
     Instances of one object are merged, under the first of their ids.
     """
     objects: dict[int, MapObject] = {}
     for instance in sorted(instances, key=lambda instance: instance.id):
         # Key of the result: the id in the object map, or minus the id of an instance without one.
-        points_m, key = instance.points_m, -instance.id
+        points_m, key, captions = instance.points_m, -instance.id, Counter[str]()
         same_name = [
             obj for obj in object_map.objects.values() if names.same_name(obj.label, instance.label)
         ]
@@ -82,10 +84,12 @@ def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> li
         if share and max(share) >= SAME_SHARE:
             obj = same_name[int(np.argmax(share))]
             points_m, key = object_map.confirmed_points_m(obj), obj.id
+            captions = obj.captions.get(obj.label, captions)
         merged = MapObject(
             instance.id,
             {instance.label: instance.score},
             points_m,
+            {instance.label: captions},
             score=instance.score,
             hits=instance.hits,
         )
@@ -160,11 +164,18 @@ def scene_object(obj: MapObject, pose: SE2, regions: Grid, allowed: np.ndarray) 
     )  # fmt: skip
 
 
-def uninflated(view: RollingMap | MapView) -> Grid:
-    """Return a map without inflation: inflated cells become free or unknown, as observed."""
+def uninflated(view: RollingMap | MapView, pose: SE2) -> Grid:
+    """Return a map without inflation: inflated cells become free or unknown, as observed.
+
+    Cells that zones close are `IN_ZONE`, unless the robot itself is in a zone: it must get out.
+    """
     grid, n = view.snapshot(_INFLATED_VALUE), view.window.n
-    rows, columns = np.nonzero(grid.cells == _INFLATED_VALUE)
     corner = np.rint(np.array(grid.origin_xy_m) / grid.resolution_m).astype(np.int64)
-    seen = view.layers.raw[(rows + corner[1]) % n, (columns + corner[0]) % n] > 0
-    grid.cells[rows, columns] = np.where(seen, 0, -1)
+    height, width = grid.cells.shape
+    at = np.ix_((np.arange(height) + corner[1]) % n, (np.arange(width) + corner[0]) % n)
+    inflated = grid.cells == _INFLATED_VALUE
+    grid.cells[inflated] = np.where(view.layers.raw[at][inflated] > 0, 0, -1)
+    closed, robot = view.layers.near[at] & ZONE != 0, grid.cell_of(pose.x_m, pose.y_m)
+    if robot is not None and not closed[robot]:
+        grid.cells[closed & (grid.cells <= 0)] = IN_ZONE
     return grid

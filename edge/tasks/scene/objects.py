@@ -57,7 +57,6 @@ class MapObject:
         labels: sum of the scores of each label that it was given.
         points_m: (n, 3) float32 in `map`, one per voxel, at most `MOST_POINTS`.
         captions: counts of its captions, by label.
-        embedding: (d,) float32, mean over pictures; None if there is none.
         score: highest score of its boxes.
         hits: number of its boxes.
         picture: number of the newest picture that shows it; None if unknown.
@@ -68,7 +67,6 @@ class MapObject:
     labels: dict[str, float]
     points_m: np.ndarray
     captions: dict[str, Counter[str]] = field(default_factory=dict)
-    embedding: np.ndarray | None = None
     score: float = 0.0
     hits: int = 1
     picture: int | None = None
@@ -230,7 +228,6 @@ class ObjectMap:
         points_m: np.ndarray,
         caption: str = "",
         score: float = 1.0,
-        embedding: np.ndarray | None = None,
         picture: int | None = None,
     ) -> MapObject | None:
         """Add the part of an object that one picture shows.
@@ -240,7 +237,6 @@ class ObjectMap:
             points_m: (n, 3) float32 in `map`.
             caption: description of the object; "" without one.
             score: score of the box, in [0, 1].
-            embedding: (d,) embedding of the part of the picture.
             picture: number of the picture, such as `Observation.seq`; None: nothing else was in it.
 
         Returns:
@@ -257,9 +253,7 @@ class ObjectMap:
             return None
         label = names.canonical(label)
         captions = {label: Counter([caption])} if caption else {}
-        new = MapObject(
-            self._newest + 1, {label: score}, points, captions, embedding, score, picture=picture
-        )
+        new = MapObject(self._newest + 1, {label: score}, points, captions, score, picture=picture)
         likeness = {old.id: _likeness(old, new) for old in self.objects.values()}
         best = max(likeness, key=lambda id: likeness[id], default=0)
         obj = self.objects[best] if likeness.get(best) else None
@@ -350,10 +344,6 @@ def _likeness(a: MapObject, b: MapObject) -> float:
 def _absorb(target: MapObject, other: MapObject) -> None:
     """Merge `other` into `target`."""
     hits = target.hits + other.hits
-    if target.embedding is None:
-        target.embedding = other.embedding
-    elif other.embedding is not None:
-        target.embedding = (target.hits * target.embedding + other.hits * other.embedding) / hits
     target.points_m = downsample(np.concatenate((target.points_m, other.points_m)))
     for label, score in other.labels.items():
         target.labels[label] = target.labels.get(label, 0.0) + score

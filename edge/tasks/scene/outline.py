@@ -55,14 +55,7 @@ class Outline:
         distance transform is faster than all pairs of cells: a building has a thousand.
         """
         at = np.floor(grid.to_cells(self.cells_m)).astype(np.int64)
-        low = np.minimum(at.min(axis=0), 0)
-        high = np.maximum(at.max(axis=0) + 1, grid.cells.shape[::-1])
-        apart = np.ones((high - low)[::-1], np.uint8)
-        apart[tuple((at - low).T[::-1])] = 0
-        away = cv2.distanceTransform(apart, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        (x0, y0), (h, w) = -low, grid.cells.shape
-        # The squares are integers, so rounding makes equal distances equal.
-        away_cells = np.sqrt(np.rint(np.square(away[y0 : y0 + h, x0 : x0 + w], dtype=np.float64)))
+        away_cells = np.sqrt(squares_of_distances(at, grid.cells.shape))
         return np.maximum(away_cells * grid.resolution_m - self.rim_m, 0.0)
 
     def nearest(self, point_m: tuple[float, float]) -> tuple[float, float]:
@@ -91,6 +84,25 @@ class Outline:
         """Return the distance of a point, relative to the centre; negative inside the hull."""
         x_m, y_m = point_m.tolist()
         return -cv2.pointPolygonTest(self.hull_m.astype(np.float32), (x_m, y_m), True)
+
+
+def squares_of_distances(cells: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the squared distance of each cell of a grid from the nearest of some cells.
+
+    Args:
+        cells: (n, 2) int64, n >= 1, column and row; they may be outside the grid.
+        shape: (h, w) of the grid.
+
+    Returns:
+        (h, w) float64, in cells; the values are integers, so equal distances are equal.
+    """
+    low = np.minimum(cells.min(axis=0), 0)
+    high = np.maximum(cells.max(axis=0) + 1, shape[::-1])
+    apart = np.ones((high - low)[::-1], np.uint8)
+    apart[tuple((cells - low).T[::-1])] = 0
+    away = cv2.distanceTransform(apart, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    (x0, y0), (h, w) = -low, shape
+    return np.rint(np.square(away[y0 : y0 + h, x0 : x0 + w], dtype=np.float64))
 
 
 def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:

@@ -33,7 +33,6 @@ Tags = Callable[[Observation], Sequence[str]]
 Boxes = Callable[[Observation, Sequence[str]], Detections]
 Masks = Callable[[Detections], Detections]
 Captions = Callable[[Detections], Sequence[str]]
-Embeddings = Callable[[Detections], np.ndarray]
 
 
 class GroundKinds(Protocol):
@@ -54,7 +53,6 @@ class PerceptionPipeline(NamedTuple):
         boxes: boxes of these words (Grounding DINO).
         masks: pixels of the objects in the boxes (TAP); `boxes_as_masks` uses the entire boxes.
         captions: one caption per box (TAP).
-        embeddings: (n, d) float32, one per box; None: no embeddings.
         ground: kinds of ground in a picture; None: all ground is of one kind.
     """
 
@@ -62,7 +60,6 @@ class PerceptionPipeline(NamedTuple):
     boxes: Boxes
     masks: Masks
     captions: Captions = compose_captions
-    embeddings: Embeddings | None = None
     ground: GroundKinds | None = None
 
 
@@ -71,12 +68,11 @@ class CaptionedDetections(NamedTuple):
 
     Attributes:
         found: n boxes, with their masks if there is a segmenter.
-        embedding: (n, d) float32; None without embeddings.
+        caption: one for each box.
     """
 
     found: Detections
     caption: tuple[str, ...]
-    embedding: np.ndarray | None
 
 
 def run_pipeline(pipeline: PerceptionPipeline, observation: Observation) -> CaptionedDetections:
@@ -88,11 +84,9 @@ def run_pipeline(pipeline: PerceptionPipeline, observation: Observation) -> Capt
     """
     found = pipeline.masks(pipeline.boxes(observation, pipeline.tags(observation)))
     caption = tuple(pipeline.captions(found))
-    embedding = None if pipeline.embeddings is None else pipeline.embeddings(found)
-    for name, answers in (("captions", caption), ("embeddings", embedding)):
-        if answers is not None and len(answers) != len(found):
-            raise ValueError(f"{len(found)} boxes, but {len(answers)} {name}; expected one a box")
-    return CaptionedDetections(found, caption, embedding)
+    if len(caption) != len(found):
+        raise ValueError(f"{len(found)} boxes, but {len(caption)} captions; expected one a box")
+    return CaptionedDetections(found, caption)
 
 
 def boxes_as_masks(found: Detections) -> Detections:

@@ -105,25 +105,6 @@ def best_surface(depth, on, gap_m, gap_share):
 
 
 @jit
-def lowest(points, x0_m, y0_m, cell_m, out):
-    """Write the lowest z of the points in each cell.
-
-    Args:
-        points: (n, 3) float32; points outside the grid or not finite are ignored.
-        x0_m: x of the corner of cell (0, 0).
-        y0_m: y of that corner.
-        cell_m: side of a cell.
-        out: (h, w) float32 output; inf for a cell without points.
-    """
-    h, w = out.shape
-    out[:] = np.inf
-    for i in range(len(points)):
-        c, r = (points[i, 0] - x0_m) / cell_m, (points[i, 1] - y0_m) / cell_m
-        if 0.0 <= c < w and 0.0 <= r < h and points[i, 2] < out[int(r), int(c)]:
-            out[int(r), int(c)] = points[i, 2]
-
-
-@jit
 def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, known):
     """Estimate the height of the ground by cells, from the robot outwards.
 
@@ -133,7 +114,7 @@ def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, kno
     away.
 
     Args:
-        low: (h, w) float32, see `lowest`.
+        low: (h, w) float32, lowest z of the points in each cell; inf for a cell without points.
         row: the robot's cell.
         column: the robot's cell.
         z_m: height of the ground under the robot.
@@ -189,28 +170,3 @@ def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, kno
                     filled[y, x], ground[y, x] = True, ground[r, c]
                     queue[found] = y * w + x
                     found += 1
-
-
-@jit
-def nearest_of_regions(regions, allowed, cells, best, at):
-    """Find the allowed cell of each region that is nearest to an object.
-
-    Args:
-        regions: (h, w) uint8, 0 = none.
-        allowed: (h, w) bool.
-        cells: (k, 2) float64, points of the object as (column, row), in cells.
-        best: (256,) float64 output, squared distance in cells; inf for a region without such a
-            cell.
-        at: (256, 2) int64 output, (row, column) of the cell.
-    """
-    best[:] = np.inf
-    h, w = regions.shape
-    for r in range(h):
-        for c in range(w):
-            region = regions[r, c]
-            if region == 0 or not allowed[r, c]:
-                continue
-            for i in range(len(cells)):
-                d = (cells[i, 0] - c - 0.5) ** 2 + (cells[i, 1] - r - 0.5) ** 2
-                if d < best[region]:
-                    best[region], at[region, 0], at[region, 1] = d, r, c

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,13 +18,15 @@ from edge.geometry import invert
 from edge.mapping.grid import RollingMap
 from edge.perception.detection.detector import check_rgb
 from edge.tasks.scene import terrain
+from edge.tasks.scene.captions import compose_captions
 from edge.tasks.scene.frames import (
+    MAX_RANGE_M,
     cloud_of,
     contours_of,
     has_mask,
     outside_boxes,
-    plausible_points,
     points_in_boxes,
+    points_within,
     transformed,
 )
 from edge.tasks.scene.ground import reachable
@@ -95,34 +98,23 @@ class SceneBuilder:
             ValueError: the frame has no camera, no image, or neither cloud nor depth, or
                 `ground_kind` has another number of points.
         """
-        cloud_m, T_base_cloud = cloud_of(observation)
-        if ground_kind is not None and len(ground_kind) != len(cloud_m):
-            raise ValueError(
-                f"ground_kind: expected {len(cloud_m)} values, one a point, got {len(ground_kind)}"
-            )
-        is_plausible = plausible_points(cloud_m)
-        if not is_plausible.all():
-            cloud_m = cloud_m[is_plausible]
-            ground_kind = None if ground_kind is None else ground_kind[is_plausible]
-        T_map_base, pose = observation.T_map_base, observation.pose
-        T_map_cloud = T_map_base @ T_base_cloud
-        points_m = transformed(T_map_cloud, cloud_m)
-        self.map.update_cloud(cloud_m, T_map_base, T_base_cloud)
-        base_z_m = float(T_map_base[2, 3])
-        ground = terrain.estimate_ground(
-            points_m, pose.x_m, pose.y_m, base_z_m, self._mapping.range_m
-        )
-        above = terrain.height_above(ground, points_m)
-        if ground_kind is None and self._pipeline.ground is not None:
-            ground_kind = _kinds_in_picture(
-                self._pipeline.ground, observation, cloud_m, T_base_cloud, above
-            )
+        points = _points_of(observation, self._mapping.range_m, MAX_RANGE_M)
         if ground_kind is not None:
-            votes = _may_vote(cloud_m, above, self._mapping)
-            self._ground.add(points_m[votes, :2], ground_kind[votes])
+            if len(ground_kind) != len(points.kept):
+                raise ValueError(
+                    f"ground_kind: expected {len(points.kept)} values, one a point, got "
+                    f"{len(ground_kind)}"
+                )
+            ground_kind = ground_kind[points.kept]
+        self.map.update_cloud(points.cloud_m, observation.T_map_base, points.T_base_cloud)
+        if ground_kind is None and self._pipeline.ground is not None:
+            ground_kind = _kinds_in_picture(self._pipeline.ground, observation, points)
+        if ground_kind is not None:
+            votes = _may_vote(points, self._mapping)
+            self._ground.add(points.points_m[votes, :2], ground_kind[votes])
         result = run_pipeline(self._pipeline, observation)
         self._newest, self._contours = observation, {}
-        for i, obj in _add_result(self.objects, result, cloud_m, points_m, above):
+        for i, obj in _add_result(self.objects, result, points):
             self._contours.setdefault(obj.id, []).extend(contours_of(result.found, i))
 
     def scene(self) -> Scene:
@@ -133,7 +125,9 @@ class SceneBuilder:
         """
         if self._newest is None:
             raise ValueError("no frame was added; call SceneBuilder.add first")
-        occupancy = terrain.with_blind_spot(uninflated(self.map), self._newest.pose)
+        occupancy = terrain.with_blind_spot(
+            uninflated(self.map, self._newest.pose), self._newest.pose
+        )
         kind, labels = None, self._ground.kinds
         if labels:
             kind = self._ground.classify(occupancy, self._newest.pose)
@@ -155,54 +149,66 @@ def add_ground(
         ValueError: the frame has no usable image, or see `cloud_of`.
         ModelError: the network failed.
     """
+    points = _points_of(observation, mapping.range_m, mapping.range_m)
+    kind = _kinds_in_picture(ground, observation, points)
+    keep = _may_vote(points, mapping) & (kind <= len(ground.kinds))
+    votes.add(points.points_m[keep, :2], kind[keep])
+
+
+class _Points(NamedTuple):
+    """The points of a frame.
+
+    Attributes:
+        kept: (m,) bool, the points of the observation that are here.
+        cloud_m: (n, 3) float32.
+        T_base_cloud: (4, 4) their pose.
+        sensor_m: (3,) their sensor in `map`.
+        points_m: (n, 3) float32, the same points in `map`.
+        above_m: (n,) float32, their height over the ground; NaN where it is not known.
+    """
+
+    kept: np.ndarray
+    cloud_m: np.ndarray
+    T_base_cloud: np.ndarray
+    sensor_m: np.ndarray
+    points_m: np.ndarray
+    above_m: np.ndarray
+
+
+def _points_of(observation: Observation, ground_range_m: float, range_m: float) -> _Points:
+    """Return the points of a frame up to `range_m`; the ground is known up to `ground_range_m`."""
     cloud_m, T_base_cloud = cloud_of(observation)
-    cloud_m = cloud_m[np.linalg.norm(cloud_m, axis=1) <= mapping.range_m]
-    points_m = transformed(observation.T_map_base @ T_base_cloud, cloud_m)
+    kept = points_within(cloud_m, range_m)
+    cloud_m, T_map_cloud = cloud_m[kept], observation.T_map_base @ T_base_cloud
+    points_m = transformed(T_map_cloud, cloud_m)
     x_m, y_m, z_m = observation.T_map_base[:3, 3].tolist()
-    height = terrain.estimate_ground(points_m, x_m, y_m, z_m, mapping.range_m)
-    above = terrain.height_above(height, points_m)
-    kind = _kinds_in_picture(ground, observation, cloud_m, T_base_cloud, above)
-    keep = _may_vote(cloud_m, above, mapping) & (kind <= len(ground.kinds))
-    votes.add(points_m[keep, :2], kind[keep])
+    ground = terrain.estimate_ground(points_m, x_m, y_m, z_m, ground_range_m)
+    above_m = terrain.height_above(ground, points_m)
+    return _Points(kept, cloud_m, T_base_cloud, T_map_cloud[:3, 3], points_m, above_m)
 
 
-def _may_vote(
-    cloud_m: np.ndarray, above_m: np.ndarray, mapping: config.MappingConfig
-) -> np.ndarray:
+def _may_vote(points: _Points, mapping: config.MappingConfig) -> np.ndarray:
     """Return the points that vote for the kind of ground, (n,) bool.
 
     Nearer points are the robot's own body. Higher points are over the robot: the crown of a tree
     does not hide the ground below it.
     """
-    is_body = np.linalg.norm(cloud_m, axis=1) < mapping.min_range_m
-    return ~is_body & ~(above_m > mapping.obstacle_max_m)
+    is_body = np.linalg.norm(points.cloud_m, axis=1) < mapping.min_range_m
+    return ~is_body & ~(points.above_m > mapping.obstacle_max_m)
 
 
-def _kinds_in_picture(
-    ground: GroundKinds,
-    observation: Observation,
-    cloud_m: np.ndarray,
-    T_base_cloud: np.ndarray,
-    above_m: np.ndarray,
-) -> np.ndarray:
+def _kinds_in_picture(ground: GroundKinds, observation: Observation, points: _Points) -> np.ndarray:
     """Return the kind of ground of each point: index into (*`ground.kinds`, "ground") plus 1.
 
     A point that is not low is no ground (0), as is one in the picture whose pixel is none. Low
     points outside the picture are "ground": nothing names their kind.
-
-    Args:
-        ground: names the kind in each pixel.
-        observation: the frame.
-        cloud_m: (n, 3) points of the frame.
-        T_base_cloud: (4, 4) their pose.
-        above_m: (n,) their height over the ground.
     """
-    T_camera_cloud = invert(observation.T_base_camera) @ T_base_cloud
-    at_px, shown = in_picture(cloud_m, T_camera_cloud, observation.camera)
-    kind = np.full(len(cloud_m), len(ground.kinds) + 1, np.uint8)
+    T_camera_cloud = invert(observation.T_base_camera) @ points.T_base_cloud
+    at_px, shown = in_picture(points.cloud_m, T_camera_cloud, observation.camera)
+    kind = np.full(len(points.cloud_m), len(ground.kinds) + 1, np.uint8)
     column, row = at_px[shown].astype(np.intp).T
     kind[shown] = ground.classify(check_rgb(observation))[row, column]
-    return np.where(np.abs(above_m) <= OFF_GROUND_M, kind, 0).astype(np.uint8)
+    return np.where(np.abs(points.above_m) <= OFF_GROUND_M, kind, 0).astype(np.uint8)
 
 
 def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> None:
@@ -221,14 +227,11 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
         ValueError: see `cloud_of`.
     """
     observation = found.observation
-    cloud_m, T_base_cloud = cloud_of(observation)
-    cloud_m = cloud_m[np.linalg.norm(cloud_m, axis=1) <= range_m]
-    points_m = transformed(observation.T_map_base @ T_base_cloud, cloud_m)
-    pose, base_z_m = observation.pose, float(observation.T_map_base[2, 3])
-    ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, range_m)
-    above = terrain.height_above(ground, points_m)
-    around, sensor_m = found.context_detections(), (observation.T_map_base @ T_base_cloud)[:3, 3]
-    keep = above > OFF_GROUND_M
+    _, cloud_m, T_base_cloud, sensor_m, points_m, above_m = _points_of(
+        observation, range_m, range_m
+    )
+    around, caption = found.context_detections(), compose_captions(found)
+    keep = above_m > OFF_GROUND_M
     smallest_px2 = np.full(len(points_m), np.inf)  # area of another object's box around the point
     if around is not None:
         for indices, area_px2 in points_in_boxes(around, cloud_m, T_base_cloud, keep):
@@ -237,7 +240,7 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
         label, is_own = found.prompts[found.class_id[i]], smallest_px2[indices] >= area_px2
         points = points_m[indices[is_own]]
         points = points[main_clusters(points, sensor_m, has_mask(found, i))]
-        obj = objects.add(label, points, score=float(found.score[i]), picture=observation.seq)
+        obj = objects.add(label, points, caption[i], float(found.score[i]), picture=observation.seq)
         objects.vote(label, points, 1)
         objects.vote(label, points_m[indices[~is_own]], -1)
         if obj is not None:
@@ -258,18 +261,13 @@ def with_detected(
     Raises:
         ValueError: see `cloud_of`.
     """
-    observation, pose = result.found.observation, scene.pose
-    cloud_m, T_base_cloud = cloud_of(observation)
-    cloud_m = cloud_m[plausible_points(cloud_m)]
-    points_m = transformed(observation.T_map_base @ T_base_cloud, cloud_m)
-    x_m, y_m, z_m = observation.T_map_base[:3, 3].tolist()
-    ground = terrain.estimate_ground(points_m, x_m, y_m, z_m, range_m)
-    above, newest = terrain.height_above(ground, points_m), max(scene.objects, default=0)
+    points = _points_of(result.found.observation, range_m, MAX_RANGE_M)
+    pose, newest = scene.pose, max(scene.objects, default=0)
     allowed = reachable(
         open_cells(scene.occupancy, scene.regions_grid, radius_m), scene.occupancy, pose
     )
     objects, contours = dict(scene.objects), dict(scene.contours)
-    for i, obj in _add_result(ObjectMap(), result, cloud_m, points_m, above):
+    for i, obj in _add_result(ObjectMap(), result, points):
         new = replace(scene_object(obj, pose, scene.regions_grid, allowed), id=newest + obj.id)
         objects[new.id] = new
         contours.setdefault(new.id, []).extend(contours_of(result.found, i))
@@ -277,31 +275,18 @@ def with_detected(
 
 
 def _add_result(
-    objects: ObjectMap,
-    result: CaptionedDetections,
-    cloud_m: np.ndarray,
-    points_m: np.ndarray,
-    above_m: np.ndarray,
+    objects: ObjectMap, result: CaptionedDetections, points: _Points
 ) -> Iterator[tuple[int, MapObject]]:
-    """Add the objects of a pipeline's result to an object map; yield (box, object) for each.
-
-    Args:
-        objects: the object map.
-        result: n boxes.
-        cloud_m: (n, 3) points of the frame.
-        points_m: the same points in `map`.
-        above_m: (n,) their height over the ground.
-    """
-    found, seen = result.found, result.found.observation
-    _, T_base_cloud = cloud_of(seen)
-    sensor_m = (seen.T_map_base @ T_base_cloud)[:3, 3]
-    in_boxes = points_in_boxes(found, cloud_m, T_base_cloud, above_m > OFF_GROUND_M)
+    """Add the objects of a pipeline's result to an object map; yield (box, object) for each."""
+    found = result.found
+    keep = points.above_m > OFF_GROUND_M
+    in_boxes = points_in_boxes(found, points.cloud_m, points.T_base_cloud, keep)
     for i, (indices, _) in enumerate(in_boxes):
-        points = points_m[indices]
-        points = points[main_clusters(points, sensor_m, has_mask(found, i))]
+        own_m = points.points_m[indices]
+        own_m = own_m[main_clusters(own_m, points.sensor_m, has_mask(found, i))]
         obj = objects.add(
-            found.prompts[found.class_id[i]], points, result.caption[i], float(found.score[i]),
-            None if result.embedding is None else result.embedding[i], seen.seq,
+            found.prompts[found.class_id[i]], own_m, result.caption[i], float(found.score[i]),
+            found.observation.seq,
         )  # fmt: skip
         if obj is not None:
             yield i, obj

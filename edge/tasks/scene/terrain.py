@@ -11,6 +11,7 @@ import numpy as np
 
 from edge.geometry import SE2, Grid
 from edge.tasks.scene import scan_kernels as kernels
+from edge.tasks.scene.outline import squares_of_distances
 from edge.tasks.scene.scene import Region
 
 CELL_M = 0.5
@@ -69,9 +70,14 @@ def estimate_ground(
     half = math.ceil(range_m / CELL_M)
     origin = (math.floor(x_m / CELL_M) - half) * CELL_M, (math.floor(y_m / CELL_M) - half) * CELL_M
     side = 2 * half + 1
-    low, height = np.empty((side, side), np.float32), np.empty((side, side), np.float32)
-    seen = np.empty((side, side), np.bool_)
-    kernels.lowest(points_m, *origin, CELL_M, low)
+    low = np.full((side, side), np.inf, np.float32)
+    height, seen = np.empty_like(low), np.empty((side, side), np.bool_)
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor((points_m[:, :2] - origin) / CELL_M).T
+        inside = (row >= 0) & (row < side) & (column >= 0) & (column < side)
+        inside &= np.isfinite(points_m[:, 2])
+    at = (row[inside] * side + column[inside]).astype(np.intp)
+    np.minimum.at(low.reshape(-1), at, points_m[inside, 2])
     kernels.grow_ground(
         low, half, half, z_m, STEP_M, SLOPE, CELL_M, round(GAP_M / CELL_M), height, seen
     )
@@ -236,9 +242,12 @@ def nearest_points(
     """
     if not len(points_m) or not regions.cells.size:
         return {}
-    cells = np.unique(np.floor(regions.to_cells(points_m[:, :2])), axis=0) + 0.5
-    best, at = np.empty(MOST_REGIONS + 1), np.zeros((MOST_REGIONS + 1, 2), np.int64)
-    kernels.nearest_of_regions(regions.cells, allowed, cells, best, at)
-    found = np.flatnonzero(np.isfinite(best))
-    centres = regions.centres_m(at[found, 0], at[found, 1])
-    return {int(i): (float(x), float(y)) for i, (x, y) in zip(found, centres, strict=True)}
+    cells = np.floor(regions.to_cells(points_m[:, :2])).astype(np.int64)
+    away = squares_of_distances(cells, regions.cells.shape)
+    found = {}
+    for region in np.unique(regions.cells[allowed & (regions.cells > 0)]).tolist():
+        rows, columns = np.nonzero(allowed & (regions.cells == region))
+        k = int(np.argmin(away[rows, columns]))
+        x_m, y_m = regions.centres_m(rows[k], columns[k]).tolist()
+        found[region] = (x_m, y_m)
+    return found

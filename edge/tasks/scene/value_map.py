@@ -24,6 +24,8 @@ CLOSED = 0
 """Weight of a cell that no path may enter."""
 BRIDGE_M = 0.45
 """Unseen ground within this distance of seen ground is open, as in the shadow of a low bush."""
+IN_ZONE = 25
+"""Occupancy of a cell that a zone closes: below `OCCUPIED`, so it hides nothing behind it."""
 _SUB_PX = 4  # fractional bits of points for OpenCV: 1/16 cell
 
 
@@ -56,7 +58,7 @@ def value_map(
     | unseen, within `BRIDGE_M` of seen ground | BRIDGE |
     | other ground | HIGH |
     | occupied | HIGH in the paper, closed here |
-    | too near to an occupied cell, or too far from seen ground (`BRIDGE_M`) | closed |
+    | in a zone, too near to an occupied cell, or too far from seen ground (`BRIDGE_M`) | closed |
 
     In the paper only the cost keeps A* out of occupied cells, and Table II counts 2 collisions in
     30. Here no path enters them. Closed cells are also closed for the writer of the trajectory
@@ -64,25 +66,13 @@ def value_map(
     line would lead over the lawn that the choice of regions leaves out.
 
     Args:
-        occupancy: int8; -1 unknown, 0 free, 100 occupied.
+        occupancy: int8; -1 unknown, 0 free, `IN_ZONE`, 100 occupied.
         regions: uint8, the same cells: id of the region, 0 = none.
         drivable: ids of the chosen regions, 1 to 255.
         coarse_m: (n, 2) float64 in `map`; empty: no tube.
         margins: clearance and tube radius.
-
-    Raises:
-        ValueError: a grid has another type or other cells, or an id is not in 1 to 255.
     """
     cells = occupancy.cells
-    if cells.dtype != np.int8 or regions.cells.dtype != np.uint8:
-        raise ValueError(
-            f"expected int8 occupancy and uint8 regions, got {cells.dtype}, {regions.cells.dtype}"
-        )
-    place = (occupancy.origin_xy_m, occupancy.resolution_m, cells.shape)
-    if place != (regions.origin_xy_m, regions.resolution_m, regions.cells.shape):
-        raise ValueError("occupancy and regions differ in origin, resolution or shape")
-    if not all(0 < region < 256 for region in drivable):
-        raise ValueError(f"drivable: expected region ids from 1 to 255, got {sorted(drivable)}")
     if cells.size == 0:
         return from_weights(replace(occupancy, cells=np.zeros(cells.shape, np.uint8)), TUBE)
     table = np.full(256, HIGH, np.uint8)
@@ -100,8 +90,8 @@ def value_map(
 def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
     """Return the cells that the robot's centre must not enter, known or not, (h, w) bool.
 
-    These are occupied cells, and cells with a centre nearer than `clearance_m` to an occupied
-    cell's rim.
+    These are occupied cells, cells with a centre nearer than `clearance_m` to an occupied cell's
+    rim, and cells in zones. Zones have their clearance already (`edge.mapping.zones`).
     """
     if grid.cells.size == 0:
         return np.zeros(grid.cells.shape, bool)
@@ -110,7 +100,7 @@ def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
     gap_m = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0) * grid.resolution_m
     # An exact disc: with a small radius, dilation costs a tenth of a distance transform.
     disc = gap_m**2 + gap_m[:, None] ** 2 < max(clearance_m, 1e-9) ** 2
-    return cv2.dilate(occupied, disc.astype(np.uint8)).view(bool)
+    return cv2.dilate(occupied, disc.astype(np.uint8)).view(bool) | (grid.cells > 0)
 
 
 def open_cells(occupancy: Grid, regions: Grid, clearance_m: float) -> np.ndarray:

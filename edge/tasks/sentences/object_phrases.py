@@ -182,6 +182,36 @@ def read_objects(
         if unseen
         else _objects_described(_objects_named(reader, scene, words), reader, words)
     )
+    found, origin, before_that_is = _read_places(reader, scene, before, found, choosers, is_passed)
+    for token in before_that_is if is_passed else ():
+        if token.kind in ("leftmost", "rightmost") and token.text.startswith(_SIDE_OPENERS):
+            side = token.kind.removesuffix("most")
+            hint = f"say 'past the {side} of …', or 'the {token.kind} …'"
+            reader.refuse(
+                f"it may say which one is meant, or on which side to pass it; {hint}", token
+            )
+    for token in choosers:
+        if token.kind.startswith("from the") and not any(t.kind in _COUNTS for t in choosers):
+            reader.refuse(f"say which, as 'second {token.text}'", token)
+    return found if unseen else _choose(found, reader, scene, choosers, origin)
+
+
+def _read_places(
+    reader: TokenReader,
+    scene: Scene | UnseenScene,
+    before: Sequence[InstructionStep],
+    found: list[SceneObject],
+    choosers: list[Token],
+    is_passed: bool,
+) -> tuple[list[SceneObject], SceneObject | None, list[Token]]:
+    """Read the places after a name, such as "on the left" or "next to the van".
+
+    Words that choose an object are added to `choosers`.
+
+    Returns:
+        Those of `found` that are there; the origin of distances, if one is named; and the words
+        that chose an object or a place before "that is".
+    """
     origin = _read_origin(reader, scene, before, choosers)
     words_before_that_is, after_that_is = list(choosers), False
     while (after_that_is or not (is_passed and _is_passing_side(reader))) and (
@@ -199,7 +229,7 @@ def read_objects(
             origin = origin or _read_origin(reader, scene, before, [token])
             continue
         other = read_object(reader, scene, before) if token.kind == "at" else None
-        if unseen:
+        if isinstance(scene, UnseenScene):
             continue
         if other is not None:
             found = _filtered(
@@ -209,17 +239,7 @@ def read_objects(
             found = _filtered(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
             reader.refuse("no such object is there", token)
-    for token in words_before_that_is if is_passed else ():
-        if token.kind in ("leftmost", "rightmost") and token.text.startswith(_SIDE_OPENERS):
-            side = token.kind.removesuffix("most")
-            hint = f"say 'past the {side} of …', or 'the {token.kind} …'"
-            reader.refuse(
-                f"it may say which one is meant, or on which side to pass it; {hint}", token
-            )
-    for token in choosers:
-        if token.kind.startswith("from the") and not any(t.kind in _COUNTS for t in choosers):
-            reader.refuse(f"say which, as 'second {token.text}'", token)
-    return found if unseen else _choose(found, reader, scene, choosers, origin)
+    return found, origin, words_before_that_is
 
 
 _SIDE_OPENERS = ("on ", "to ", "at ")

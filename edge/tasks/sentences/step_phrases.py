@@ -83,6 +83,16 @@ def read_step(
         reader.refuse("it can be read in two ways; say 'past' or 'to'", relation)
     if doing == "stop" and relation.kind in ("past", "around", "along", "straight", *_MOTIONS):
         reader.refuse("a robot cannot stop there; say 'at', 'left of', 'behind', …", relation)
+    return _read_related(reader, scene, before, relation)
+
+
+def _read_related(
+    reader: TokenReader,
+    scene: Scene | UnseenScene,
+    before: Sequence[InstructionStep],
+    relation: Token,
+) -> InstructionStep:
+    """Read the rest of a step after its relation, such as "past" or "left of"."""
     match relation.kind:
         case "past" | "around" | "along" | "circle":
             return _read_passing(reader, scene, before, relation.kind)

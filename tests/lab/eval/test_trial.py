@@ -54,6 +54,7 @@ def test_a_trajectory_leads_to_the_named_object():
     assert outcome.object_at_end()[0] is car
     assert outcome.object_at_end()[1] < 1.5
     scene, poses = outcome.view.scene, outcome.refined.poses
+    assert poses[-1, 3] == outcome.written.coarse.heading_rad, "it looks at the car"
     closed = closed_cells(scene.occupancy, load("street").tasks.trajectory.clearance_m)
     assert not any(closed[scene.occupancy.cell_of(x, y)] for x, y in poses[:, :2])
     np.testing.assert_allclose(poses[:, 2], 0.0, atol=0.05)

@@ -122,7 +122,7 @@ def _as_written(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.nd
 
 def _plan_to_end(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
     pose, end = episode.scene.pose, written.coarse.points_m[-1]
-    found = written.ground.plan((pose.x_m, pose.y_m), (float(end[0]), float(end[1])))
+    found = written.reachable.plan((pose.x_m, pose.y_m), (float(end[0]), float(end[1])))
     if not found.ok:
         raise NoWayError(f"no path to the end of the trajectory: {found.reason}")
     return found.path_m

@@ -190,15 +190,15 @@ def _plugin_pipeline(
     """Return the plugin pipeline of `tasks.pipeline`; its errors become `SceneCaptureError`."""
     where = config.locate("tasks.pipeline")
     arguments: dict[str, Any] = {"perception": config.perception, "words": words}
-    part_names = ("tags", "boxes", "masks", "captions", "embeddings")  # fields, in order
+    part_names = ("tags", "boxes", "masks", "captions")  # fields, in order
     make = component_factory(
         "pipeline", plugin.kind, plugin.options, {}, where, part_names, tuple(arguments),
         functions=True,
     )  # fmt: skip
     pipeline = make(**arguments)
 
-    def guarded(name: str) -> Callable[..., Any] | None:
-        """Return a part of the pipeline that raises only `UserError`; None if it lacks the part."""
+    def guarded(name: str) -> Callable[..., Any]:
+        """Return a part of the pipeline that raises only `UserError`."""
         part = getattr(pipeline, name)
 
         def called(*args: Any) -> Any:
@@ -212,7 +212,7 @@ def _plugin_pipeline(
                     f"{where}: {plugin.kind}: {name}() raised {reason}"
                 ) from None
 
-        return None if part is None else called
+        return called
 
     return PerceptionPipeline(*map(guarded, part_names))
 

@@ -104,7 +104,10 @@ def run_task(
         if (wanted_mps := written.coarse.speed_mps) is not None:
             limits = replace(limits, speed_mps=min(wanted_mps, limits.speed_mps))
         coarse = written.coarse
-        refined = refine(written.ground.scene, coarse.segments, coarse.regions, margins, limits)
+        refined = refine(
+            written.reachable.scene, coarse.segments, coarse.regions, margins, limits,
+            heading_rad=coarse.heading_rad,
+        )  # fmt: skip
         scene = view.scene
         costmap = value_map(
             scene.occupancy, scene.regions_grid, refined.drivable, outcome.coarse_m, margins

@@ -18,8 +18,8 @@ def headings_rad(path_m: np.ndarray) -> np.ndarray:
     return np.append(leg, leg[-1])
 
 
-def speeds_mps(path_m: np.ndarray, limits: MotionLimits, start_mps: float = 0.0) -> np.ndarray:
-    """Return the highest speed at each point that keeps the limits and ends at rest.
+def speeds_mps(path_m: np.ndarray, limits: MotionLimits) -> np.ndarray:
+    """Return the highest speed at each point that keeps the limits, from rest to rest.
 
     The turn between two legs limits the speed at their corner. Then a forward pass limits the
     acceleration and a backward pass the braking (v^2 = u^2 + 2 a s).
@@ -27,11 +27,9 @@ def speeds_mps(path_m: np.ndarray, limits: MotionLimits, start_mps: float = 0.0)
     Args:
         path_m: (n, 2) float64, without repeated points.
         limits: highest speeds and accelerations.
-        start_mps: speed of the robot at the first point. If the robot cannot brake in time, the
-            first speed is lower than this; only there the limit of acceleration is broken.
 
     Returns:
-        (n,) float64; 0 at the last point.
+        (n,) float64; 0 at the first and the last point.
     """
     n = len(path_m)
     speeds = np.full(n, limits.speed_mps)
@@ -43,7 +41,7 @@ def speeds_mps(path_m: np.ndarray, limits: MotionLimits, start_mps: float = 0.0)
     with np.errstate(divide="ignore"):
         corner = limits.turn_radps * 0.5 * (legs[:-1] + legs[1:]) / turn
     speeds[1:-1] = np.minimum(speeds[1:-1], corner)
-    speeds[0], speeds[-1] = min(start_mps, limits.speed_mps), 0.0
+    speeds[0] = speeds[-1] = 0.0
     gain = 2.0 * limits.accel_mps2 * legs
     for k in range(n - 1):
         speeds[k + 1] = min(speeds[k + 1], np.sqrt(speeds[k] ** 2 + gain[k]))
