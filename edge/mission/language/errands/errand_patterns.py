@@ -160,11 +160,14 @@ WAITS = """
     {then} (wait|stay|remain) {until_told}
 """
 # "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
-# (`other`), "the mug on the desk or by the bed" (`again`, `else`)
+# (`two`, `other`), "the mug on the desk or by the bed" (`joint`, `again`, `else`), but not "the mug
+# on the desk or the lamp by the bed"
+_BY = phrase_of("relation")
 RELATED = re.compile(
-    rf" (?P<object>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
-    rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
-    rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
+    rf" (?P<object>{NAME})(?: {phrase_of('standing')})? (?P<relation>(?P<two>between\b)|{_BY})"
+    rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?(two)"
+    rf"(?: and (?P<other>(?:the|a) {NAME}))?|(?: (?P<joint>or|and(?= {_BY} ))"
+    rf" (?:(?P<again>{_BY}) )?(?=(?P<else>{NAME}))(?P=else)(?(again)|(?! {_BY} )))?)(?=[ ,.;!?]|$)",
     re.I,
 )
 # "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug: find
@@ -241,6 +244,8 @@ RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
 }  # fmt: skip
+# Before a name: any of several places will do for "look for a mug on the desk and on the table".
+LOOKS_FOR = re.compile(r"\b(?:look|search|hunt)(?:ing)?(?: \w+)? for$", re.I)
 # A word after which a name without an article may come.
 LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I

@@ -123,15 +123,17 @@ def quote_related(found: re.Match[str]) -> str | None:
     is_verb = TABLE.get((words[-1].lower(),)) in ("verb", "do")
     if slots.get("relation") and is_verb and not (articled and len(words) == 2):  # "my watch"
         return None
-    other = slots.get("other") if relation == "between" else None
+    other = slots.get("other")
     where = relation_text(relation, found["anchor"], other)
     within = slots.get("within")  # " in the kitchen": the name begins at the third part
     if where is None or (within and not is_room(bare(within.split(" ", 2)[2]))):
         return None
     where += relation_text("in", within.split(" ", 2)[2]) or "" if within else ""
-    rest = f" and {slots['other']}" if slots.get("other") and not other else ""
-    name = bare(" ".join(words))
-    if slots.get("else"):
+    rest, name = "", bare(" ".join(words))
+    joint = (slots.get("joint") or "or").lower()
+    if joint == "and" and not patterns.LOOKS_FOR.search(found.string[: found.start()]):
+        rest = f" and {slots['again']} {slots['else']}"
+    elif slots.get("else"):
         rest = f" or {slots['else']}"
         if slots["again"] or (is_room(bare(slots["else"])) and is_room(bare(found["anchor"]))):
             rest = f' or "{name}{relation_text(slots["again"] or relation, slots["else"])}"'
