@@ -14,7 +14,7 @@ from edge.mission.language.words.everyday_words import bare, is_room
 from edge.mission.language.words.spans import DURATION, seconds_of
 from edge.mission.language.words.tokens import TranslationError, UnclearError
 
-PLACES = ["dock", "loading bay 2"]
+PLACES = ["dock", "loading bay 2", "left office"]
 
 
 @pytest.mark.parametrize(
@@ -206,6 +206,12 @@ PLACES = ["dock", "loading bay 2"]
          'find "mug on the desk" or "red book in the bedroom"'),
         ("look for a mug on the desk and on the table",
          'find "mug on the desk" or "mug on the table"'),
+        # Not by its place in a row.
+        ("find the first aid kit", "find the first aid kit"),
+        ("go to the second floor", "go to the second floor"),
+        ("first go to the bed, second the desk", "first go to the bed, second the desk"),
+        ("go to the left office", 'go to "left office"'),
+        ("turn right at the gate", "turn right at the gate"),
         # Named first.
         ("My stick should be under the bed, go and find it", 'find "stick under the bed"'),
         ("the nearest chair to the bed, park up there", 'go to "chair nearest to the bed"'),
@@ -244,6 +250,11 @@ def test_an_errand_is_spelled_out(said, plain):
         ("move along the wall", "along an object"),
         ("go to the kitchen stop go to the bedroom", "two sentences"),
         ("find the mug in rooms 3 and 4", "unclear what to do with the second"),
+        ("go to the second chair", "'second chair': the camera cannot see which one is the second"),
+        ("go to 2nd chair, then the bed", "cannot see which one is the 2nd; give its kind"),
+        ("avoid the left door. go to the bed", "which one is the left"),
+        ("go to the middle armchair", "which one is the middle"),
+        ("go to the second bedroom", "the second; give a room this name first"),
         ("find a mug on the desk and on the table", "unclear what to do with the second"),
         ("go to the hall, and on the way check if the cart is there", "unclear order; say first"),
         ("call the nurse", "in text"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from edge.mission.language.words import nouns
 from edge.mission.language.words.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
 from edge.mission.language.words.tokens import UnclearError, unclear
 
@@ -54,18 +55,44 @@ _IN_STATE = re.compile(
 )
 
 
-def refuse_states(text: str) -> None:
-    """Refuse an object by a state that only people see, such as "a free chair".
+# "the second chair", "the left door"; names of places are marked by now
+_BY_POSITION = re.compile(
+    rf"\b(?:{ARTICLE}|to|find) (?P<which>{'|'.join(sorted(nouns.ORDINALS))}|\d+(?:st|nd|rd|th)|"
+    rf"left|right|middle|leftmost|rightmost) (?P<object>{PLAIN_NAME})",
+    re.I,
+)
+
+
+def refuse_unseen(text: str) -> None:
+    """Refuse an object by what only people see: "a free chair", "the second chair".
 
     Raises:
-        UnclearError: the text names a state.
+        UnclearError: the text names a state, a number or a side.
     """
+    for found in _BY_POSITION.finditer(text):
+        words, which = found["object"].lower().split(), found["which"].lower()
+        # The longest known name: "chair" of "the left chair straight away".
+        known = next((n for n in range(len(words), 0, -1) if _is_known(words[:n])), 0)
+        is_storey = words[0] in _STOREYS and which not in ("left", "right", "middle", "last")
+        if known and not is_storey and not nouns.is_noun(" ".join((which, *words[:known]))):
+            is_named = is_room(" ".join(words[:known]))
+            hint = "give a room this name first" if is_named else "give its kind, colour or size"
+            part = text[found.start("which") : found.end()]
+            raise unclear(part, f"the camera cannot see which one is the {which}; {hint}")
     for found in _IN_STATE.finditer(text):
         hint = f"the robot cannot see if an object is {found['state'].lower()}; leave the word out"
         raise UnclearError(
             f"instruction: {found[0]!r}: {hint}, or quote the full name if it is a kind of object",
             found[0],
         )
+
+
+_STOREYS = nouns.NUMBERED - {"room", "door"}
+"""Kinds whose members people number: "the second floor" is a name."""
+
+
+def _is_known(words: list[str]) -> bool:
+    return nouns.unknown_in(words) is None or is_room(" ".join(words))
 
 
 def refuse_impossible(text: str) -> None:

@@ -16,7 +16,7 @@ from edge import names
 from edge.mission.language.errands import errand_patterns as patterns
 from edge.mission.language.errands.errand_parts import PARTS
 from edge.mission.language.errands.errand_patterns import CALLER, CHECK, MAX_COUNT, WAIT
-from edge.mission.language.errands.impossible import refuse_impossible, refuse_states
+from edge.mission.language.errands.impossible import refuse_impossible, refuse_unseen
 from edge.mission.language.errands.object_names import (
     is_name,
     modifies,
@@ -77,7 +77,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         hint = "unclear if an order or a permission; say 'go to …', or 'you may go to … again'"
         raise unclear(permits[0], hint)
     marked, known = mark_places(text, places)
-    refuse_states(marked)
+    refuse_unseen(marked)
     text = f" {marked}"
     for pattern, plain in patterns.FIRST_REWRITES:
         text = pattern.sub(plain, text)
