@@ -212,6 +212,12 @@ PLACES = ["dock", "loading bay 2", "left office"]
         ("first go to the bed, second the desk", "first go to the bed, second the desk"),
         ("go to the left office", 'go to "left office"'),
         ("turn right at the gate", "turn right at the gate"),
+        ("search the desk for my keys", 'find "keys on the desk"'),
+        ("search the fridge for milk", 'find "milk in the fridge"'),
+        ("look under the bed for my keys", 'find "keys under the bed"'),
+        ("look in the desk for my keys", 'find "keys in the desk"'),
+        ("check the desk for my keys", 'go to "check keys on the desk"'),
+        ("search the lamp for my keys", "find the lamp for my keys"),
         # Named first.
         ("My stick should be under the bed, go and find it", 'find "stick under the bed"'),
         ("the nearest chair to the bed, park up there", 'go to "chair nearest to the bed"'),

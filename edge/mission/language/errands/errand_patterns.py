@@ -54,6 +54,7 @@ SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look) [around|round|in|at|
             inside|through]* <room> for <object>
     (search|look) {whole} for <object>
+    {goes} (search|look|check) <relation> <anchor> for <own>
     {goes} (search|look (in|into|through)) <stops> for <object>
     (look|search) for <object> in <stops>
     [keep [on]] {goes} ((explore|exploring|searching|look|looking) [around]|{look}) [{whole}|<room>]

@@ -94,6 +94,25 @@ def relation_text(relation: str | None, anchor: str | None, other: str | None = 
     return f" {relation} {the}{name}{more}"
 
 
+_SURFACES = nouns.split_entries(
+    """desk table sofa couch bed shelf counter countertop worktop bench workbench chair armchair
+    stool nightstand windowsill carpet rug bookshelf bookcase sideboard mantelpiece"""
+)
+_CONTAINERS = nouns.split_entries(
+    """fridge refrigerator freezer drawer cupboard cabinet wardrobe closet box basket bag bin crate
+    locker oven dishwasher"""
+)
+
+
+def searched_text(searched: str) -> str | None:
+    """Return " in the kitchen", " on the desk", " in the drawer" for what is searched; or None."""
+    name = bare(searched)
+    head = names.singular(name.split()[-1])
+    on = head in _SURFACES and not is_room(name)
+    is_known = is_room(name) or ((on or head in _CONTAINERS) and is_name(name))
+    return relation_text("on" if on else "in", searched) if is_known else None
+
+
 def with_article(name: str) -> str:
     """Return the name of a room with an article, which learners leave out: "go to kitchen"."""
     articled = name.startswith('"') or bare(name) != name.lower() or is_marked(name)

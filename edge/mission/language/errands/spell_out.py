@@ -24,6 +24,7 @@ from edge.mission.language.errands.object_names import (
     quote_related,
     refuse_unknown_names,
     relation_text,
+    searched_text,
     with_article,
 )
 from edge.mission.language.errands.tours import (
@@ -294,12 +295,15 @@ def _rewrite_search(found: re.Match[str]) -> str | None:
         return _rewrite_search_in_rooms(slots["stops"], name)
     if room and each_kind(room):
         each, room = room, None  # "search every room for my keys"
-    if (room and not is_room(bare(room))) or is_vague(name):
+    if is_vague(name):
         return None
     if each and each_kind(each) != "room":
         refuse_each(each)
-    where = relation_text("in", room)
-    return None if where is None else f' find "{bare(name)}{where}"'
+    where = relation_text(slots.get("relation"), slots.get("anchor"))
+    where = searched_text(room) if room else where
+    if where is None or (where.startswith(" on") and re.search(r" (?:in|inside) ", found[0])):
+        return None  # "look in the desk for my keys"
+    return f' find "{bare(name)}{where}"'
 
 
 def _rewrite_search_in_rooms(stops: str, name: str) -> str | None:
@@ -329,7 +333,7 @@ def _rewrite_check(found: re.Match[str]) -> str | None:
     if slots.get("into") and not is_room(bare(slots["into"])):
         return None
     if slots.get("room") or slots.get("into"):
-        where = relation_text("in", slots.get("room") or slots["into"])
+        where = searched_text(slots.get("room") or slots["into"])
     else:
         where = relation_text(slots.get("relation"), slots.get("anchor"))
     if slots.get("within"):
