@@ -337,6 +337,25 @@ def test_a_reason_that_is_left_out_is_reported():
     assert found.english == "Reach the bed. (Not part of the order: 'I heard a noise'.)"
 
 
+@pytest.mark.parametrize(
+    ("said", "formula", "is_remarked"),
+    [
+        ("Go slowly to the bed.", "F bed", True),
+        ("Go to the bed, quickly.", "F bed", True),
+        ('Go to the "slow lane".', 'F "slow lane"', False),
+    ],
+)
+def test_a_manner_is_not_promised(said, formula, is_remarked):
+    translation = translate(MissionConfig(), said)
+    assert str(translation.formula) == formula
+    assert ("How fast it drives" in translation.english) is is_remarked
+
+
+def test_a_ban_on_haste_is_no_ban_on_the_object():
+    with pytest.raises(TranslationError, match="quickly"):
+        translate(MissionConfig(), "Go to the bed, but do not go to the sofa quickly.")
+
+
 def test_nearest_is_not_promised():
     found = translate(MissionConfig(), "Go to the nearest chair.")
     assert str(found.formula) == "F chair"

@@ -86,6 +86,10 @@ _ADDRESS = re.compile(r", (?:my )?(?:dear|love|darling|mate|buddy|friend|robot),
 _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?", re.I)
 # No closing phrase is removed after such an end: "the robot" stays complete.
 _ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
+# "do not go to the sofa quickly" does not forbid the sofa.
+_FORBIDS_HASTE = re.compile(
+    r"\b(?:not|never|without)\b[^.;!?,]* (?:quick|quickly|fast|carefully)[ .!?]*$", re.I
+)
 _CLAUSE_END = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
 # Words that may refer to a name in another clause.
 _REFERS = re.compile(
@@ -186,7 +190,8 @@ def strip_politeness(text: str) -> str:
         opened = _OPENING.match(text)
         text = text[opened.end() :] if opened and opened.end() < len(text) else text
         closed = _CLOSING.sub("", text)
-        text = text if not closed or _ENDS_IN_ARTICLE.search(closed) else closed
+        is_kept = not closed or _ENDS_IN_ARTICLE.search(closed) or _FORBIDS_HASTE.search(text)
+        text = text if is_kept else closed
     return text.strip(" ,")
 
 

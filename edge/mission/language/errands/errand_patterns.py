@@ -286,6 +286,13 @@ FIRST_REWRITES = (
     # "the room where the tv is"
     (re.compile(rf"\bthe room (?:where|in which) (?P<anchor>(?:the|my|our) {PLAIN_NAME}) "
                 r"(?:is|are|stands)(?=[,.;!?]|$)", re.I), r"the room with \g<anchor>"),
+    # "go to where the tv is"
+    (re.compile(r" (?P<go>go|drive|come|move|head|run|get)(?: over)?(?: to)? where (?P<anchor>"
+                rf"(?:the|my|our) {PLAIN_NAME}) (?:is|are)(?=[,.;!?]|$| (?:and|then)\b)", re.I),
+     r" \g<go> to \g<anchor>"),
+    # "I lost my keys"
+    (re.compile(r"^ (?:i|we)(?: have)?(?: just)? (?:lost|mislaid|misplaced)"
+                r"(?= (?:my|our|the) [^,.;!?]*[.!?]*$)", re.I), " find"),
     # "look around the house, every room"
     (re.compile(r"\b(house|home|flat|apartment|building|place), (?:every|each) (?:single )?room\b",
                 re.I), r"\1"),
@@ -436,6 +443,7 @@ ANOTHER = re.compile(
     re.I,
 )
 GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
+SEARCHED_ROOM = re.compile(rf"^ search (?P<room>{NAME})(?=[.!]*$)", re.I)
 GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
 IN_TURN = "go to <stops>"
 FINDS = re.compile(rf"{_CLAUSE_START}{phrase_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)

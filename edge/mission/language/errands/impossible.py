@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from edge.mission.language.errands.errand_patterns import BAN
 from edge.mission.language.words import nouns
 from edge.mission.language.words.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
 from edge.mission.language.words.tokens import UnclearError, unclear
@@ -39,6 +40,23 @@ _CANNOT = (
         rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
         "the robot knows no times of day; say what to do now",
     ),
+)
+_HOW = r"(?: (?:a (?:little|bit)|very|really|so|quite|rather|as|much|more|super))*"
+_SPEEDS = (
+    r"(?:carefully|cautiously|slowly|quickly|swiftly|rapidly|speedily|gently|quietly|silently|calmly|"
+    r"smoothly|steadily|hurriedly|thoroughly|properly|faster|slower|quicker)"
+)
+# " carefully" of "go carefully to the sofa", " very fast" of "go very fast to the bed"
+_MANNER = re.compile(
+    rf"(?:(?:,(?=[^,.;!?]*[.!]*$))?{_HOW} {_SPEEDS}"
+    rf"|(?P<verb> (?:drive|go|move|come)){_HOW} (?:fast|slow))"
+    r"(?: enough| as (?:possible|you can))?(?=[ ,.;!?]|$)",
+    re.I,
+)
+_ONLY_MANNER = re.compile(
+    rf"(?: (?:go|drive|move|run|walk|come))?{_HOW} (?:{_SPEEDS}|(?:hurry|slow|speed)(?: it)?"
+    r"(?: up| down)|hurry|fast|slow|quick)(?: a (?:bit|little)| enough)?[.!]*",
+    re.I,
 )
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
@@ -93,6 +111,31 @@ _STOREYS = nouns.NUMBERED - {"room", "door"}
 
 def _is_known(words: list[str]) -> bool:
     return nouns.unknown_in(words) is None or is_room(" ".join(words))
+
+
+def without_manner(text: str) -> str:
+    """Return a text without adverbs of manner, except in bans: "go slowly to the sofa".
+
+    Raises:
+        UnclearError: the text only says how to drive.
+    """
+    if _ONLY_MANNER.fullmatch(text):
+        raise unclear(text, "how fast it drives is set in the motion controller")
+
+    def drop(found: re.Match[str]) -> str:
+        clause = re.split(r"[.;!?,]| and | then | but ", text[: found.start()])[-1]
+        return found[0] if BAN.search(clause) else found["verb"] or ""
+
+    return _MANNER.sub(drop, text)
+
+
+def says_manner(text: str) -> bool:
+    """Return True if a text says how fast or how carefully to drive.
+
+    >>> says_manner("Drive slowly to the bed"), says_manner("Find the fast food counter")
+    (True, False)
+    """
+    return _MANNER.search(re.sub(r'"[^"]*"', '"x"', f" {text}")) is not None
 
 
 def refuse_impossible(text: str) -> None:

@@ -16,7 +16,11 @@ from edge import names
 from edge.mission.language.errands import errand_patterns as patterns
 from edge.mission.language.errands.errand_parts import PARTS
 from edge.mission.language.errands.errand_patterns import CALLER, CHECK, MAX_COUNT, WAIT
-from edge.mission.language.errands.impossible import refuse_impossible, refuse_unseen
+from edge.mission.language.errands.impossible import (
+    refuse_impossible,
+    refuse_unseen,
+    without_manner,
+)
 from edge.mission.language.errands.object_names import (
     is_name,
     modifies,
@@ -79,7 +83,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         raise unclear(permits[0], hint)
     marked, known = mark_places(text, places)
     refuse_unseen(marked)
-    text = f" {marked}"
+    text = without_manner(f" {marked}")
     for pattern, plain in patterns.FIRST_REWRITES:
         text = pattern.sub(plain, text)
     for rule, change in _rules():
@@ -114,6 +118,7 @@ def _rules() -> list[tuple[list[Pattern], Change]]:
         ([patterns.NEAREST], lambda found: f" the {found['object']} nearest to {found['anchor']}"),
         ([patterns.NEAREST_TO_ROBOT], _rewrite_nearest),
         ([patterns.INTRODUCED], _rewrite_introduced),
+        ([patterns.SEARCHED_ROOM], _rewrite_searched_room),
         (patterns.SEARCHES, _rewrite_search),
         ([patterns.ALL_BUT], rewrite_all_but),
         (patterns.PATROLS, rewrite_patrol),
@@ -282,6 +287,11 @@ def _goes_on(found: re.Match[str]) -> bool:
     """Return True if a place or another name belongs to what a match ends with."""
     rest = found.string[found.end() :]
     return re.match(rf" (?:{phrase_of('relation')}|and {ARTICLE})\b", rest, re.I) is not None
+
+
+def _rewrite_searched_room(found: re.Match[str]) -> str | None:
+    """Return "search the kitchen" as the order to explore it."""
+    return f" explore {found['room']}" if is_room(bare(found["room"])) else None
 
 
 def _rewrite_search(found: re.Match[str]) -> str | None:
