@@ -154,6 +154,9 @@ PLACES = ["dock", "loading bay 2", "left office"]
          'go to "dock", then go to the bed; repeat for 10 min'),
         ("patrol the dock and the bed, just keep doing that",
          'go to "dock", then go to the bed; repeat until told'),
+        ("do your rounds", 'go to "every room"; repeat until told'),
+        ("make two rounds", 'go to "every room"; repeat 2 times'),
+        ("make a round of the dock and the bed", 'go to "dock", then go to the bed'),
         # Checks and waits.
         ("check whether the stove is there", 'go to "check stove"'),
         ("go and see if the ladder is still next to the door",
@@ -218,6 +221,9 @@ PLACES = ["dock", "loading bay 2", "left office"]
         ("look in the desk for my keys", 'find "keys in the desk"'),
         ("check the desk for my keys", 'go to "check keys on the desk"'),
         ("search the lamp for my keys", "find the lamp for my keys"),
+        # Longer names than that of a place.
+        ("go to dock 12, then the dock", 'go to dock 12, then "dock"'),
+        ("go to the dock 12 times", 'go to "dock" 12 times'),
         # In a manner.
         ("go carefully to the sofa", "go to the sofa"),
         ("drive very slowly to the bed, quietly.", "go to the bed."),
@@ -320,6 +326,11 @@ def test_an_impossible_errand_is_refused_in_one_line(said, hint):
     with pytest.raises(UnclearError, match=hint) as error:
         spell_out(said, PLACES)
     assert "\n" not in str(error.value)
+
+
+def test_an_object_may_have_the_name_of_a_place_before_it():
+    assert spell_out("go to the reception desk", ["reception"]) == "go to the reception desk"
+    assert spell_out("go to the reception", ["reception"]) == 'go to "reception"'
 
 
 @pytest.mark.parametrize(

@@ -268,6 +268,11 @@ def test_an_order_to_remember_needs_a_name(said):
         ("Pretend you're the castle guard and go to the bed", "go to the bed", ()),
         ("It is late so go to the bed", "go to the bed", ("It is late",)),
         ("find the mug, I don't know where it is", "find the mug", ("I do not know where it is",)),
+        ("bed -> sofa", "bed, then sofa", ()),
+        ("1. go to the bed. 2. the sofa", "go to the bed, then the sofa", ()),
+        ("1) shelf 2.\n2) the bed", "shelf 2, then the bed", ()),
+        ("- the bed\n- the sofa", "the bed, then the sofa", ()),
+        ("go to room 1. then go on", "go to room 1. then go on", ()),
         ('go to "no sorry the bed"', 'go to "no sorry the bed"', ()),
     ],
 )  # fmt: skip

@@ -17,6 +17,8 @@ from edge.mission.language.words.spelling import WORD, expand_word
 from edge.mission.language.words.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
+_ARROW = re.compile(r"\s*(?:[-=]+>|[→➔➜])\s*")
+_BULLET = re.compile(r"(?:^|[.,;]*\n)\s*[-*•]\s+")
 _FIRST_MARK = 0xE000  # private characters stand for quotations
 # Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "u": "you", "id": "i would", "till": "until",
@@ -133,7 +135,7 @@ def tidy_up(utterance: str) -> TidySpeech:
         quoted.append(found[0])
         return chr(_FIRST_MARK + len(quoted) - 1)
 
-    text = " ".join(_QUOTED.sub(hide, utterance.translate(STRAIGHT)).split())
+    text = " ".join(_join_list(_QUOTED.sub(hide, utterance.translate(STRAIGHT))).split())
     text = _APOSTROPHE_IS.sub(" is ", WORD.sub(_expand, text))
     text = " ".join(_HESITATION.sub(_keep_if_it_corrects, text).split())
     text = _ADDRESS.sub(",", text)
@@ -150,6 +152,20 @@ def tidy_up(utterance: str) -> TidySpeech:
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", strip_politeness(kept))
     repaired = unrepeated != text or text_after_corrections != uncorrected
     return TidySpeech(kept, reasons, repaired, tuple(quoted))
+
+
+def _join_list(text: str) -> str:
+    """Return a list with arrows, numbers or bullets as a sequence: "1. the bed 2. the sofa"."""
+    text = _ARROW.sub(", then ", text)
+    if bulleted := _BULLET.match(text):
+        return _BULLET.sub(", then ", text[bulleted.end() :])
+    mark, number = r"\s*", 1
+    while item := re.match(rf"(?P<before>.*?){mark}{number}[.)]\s+", text, re.S):
+        if number == 1 and item["before"]:
+            break
+        text = f"{item['before']}{', then ' * (number > 1)}{text[item.end() :]}"
+        mark, number = r"[\s,;.]*\n\s*" if "\n" in text else r"[\s,;.]+", number + 1
+    return text
 
 
 def _expand(found: re.Match[str]) -> str:

@@ -274,6 +274,10 @@ def _wait_first(found: re.Match[str]) -> str:
     return found[0] if _LASTS.search(before) else f", then wait {found['span']}, then"
 
 
+def _rounds(count: str | None) -> str:
+    return f", {count} rounds" if count and count != "a" else ""
+
+
 _LASTS = re.compile(
     r"\b(?:wait|stay|remain|stand|stop|explore|look|search|find|patrol|guard|tour|map|scan)\b", re.I
 )
@@ -286,6 +290,11 @@ FIRST_REWRITES = (
     # "the room where the tv is"
     (re.compile(rf"\bthe room (?:where|in which) (?P<anchor>(?:the|my|our) {PLAIN_NAME}) "
                 r"(?:is|are|stands)(?=[,.;!?]|$)", re.I), r"the room with \g<anchor>"),
+    # "do your rounds", "make two rounds"
+    (re.compile(r"^ (?:go and )?(?:do|make|start|begin|go on)(?: (?:your|the|some|a|"
+                rf"(?P<count>{COUNT})))?(?: usual| daily)* (?:rounds?|patrol)"
+                r"(?=[.!]*$| (?:for|twice|until|\d+ times)\b)", re.I),
+     lambda found: f" patrol the house{_rounds(found['count'])}"),
     # "go to where the tv is"
     (re.compile(r" (?P<go>go|drive|come|move|head|run|get)(?: over)?(?: to)? where (?P<anchor>"
                 rf"(?:the|my|our) {PLAIN_NAME}) (?:is|are)(?=[,.;!?]|$| (?:and|then)\b)", re.I),
