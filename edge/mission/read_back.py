@@ -139,7 +139,8 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         seconds = destination.seconds
         return "wait until told to go on" if seconds is None else f"wait {shown_s(seconds)}"
     if isinstance(destination, CheckTarget):
-        return f"check if there is a {re.sub('^check (the )?', '', name)}"
+        checked = re.sub("^check (the )?", "", name)
+        return f"check if there is a{'n' * (checked[0] in 'aeiou')} {checked}"
     if name in (START, HERE):
         return "go back to the start" if name == START else "come back to where this mission began"
     if name == CALLER:

@@ -221,6 +221,10 @@ PLACES = ["dock", "loading bay 2", "left office"]
         ("look in the desk for my keys", 'find "keys in the desk"'),
         ("check the desk for my keys", 'go to "check keys on the desk"'),
         ("search the lamp for my keys", "find the lamp for my keys"),
+        ("go to rooms 3 to 5", "go to room 3, room 4 and room 5"),
+        ("search rooms 3 to 5 for a mug", "find rooms 3 to 5 for a mug"),
+        ("go to the tea kitchen", 'go to "tea kitchen"'),
+        ("go to teh kitchen", "go to the teh kitchen"),
         # Longer names than that of a place.
         ("go to dock 12, then the dock", 'go to dock 12, then "dock"'),
         ("go to the dock 12 times", 'go to "dock" 12 times'),
@@ -277,6 +281,14 @@ def test_an_errand_is_spelled_out(said, plain):
         ("avoid the left door. go to the bed", "which one is the left"),
         ("go to the middle armchair", "which one is the middle"),
         ("go to the second bedroom", "the second; give a room this name first"),
+        ("go and recharge", "name the place of the charger"),
+        ("dock yourself", "name the place of the charger"),
+        ("come closer", "drives only to objects"),
+        ("get out of my way", "drives only to objects"),
+        ("well done!", "nothing is asked for"),
+        ("shut down", "starts or ends no program"),
+        ("take a picture of the bed", "in text, and does no more"),
+        ("check that the fire exit is clear", "only check whether an object is there"),
         ("hurry up!", "how fast it drives is set in the motion controller"),
         ("slow down a bit", "how fast it drives"),
         ("drive faster", "how fast it drives"),
@@ -330,6 +342,7 @@ def test_an_impossible_errand_is_refused_in_one_line(said, hint):
 
 def test_an_object_may_have_the_name_of_a_place_before_it():
     assert spell_out("go to the reception desk", ["reception"]) == "go to the reception desk"
+    assert spell_out("go to the loading dock", ["dock"]) == "go to the loading dock"
     assert spell_out("go to the reception", ["reception"]) == 'go to "reception"'
 
 

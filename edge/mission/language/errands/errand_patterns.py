@@ -261,6 +261,24 @@ _NUMBERED = re.compile(
     r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
     re.I,
 )
+# "visit rooms 1 to 5", and not "search rooms 1 to 5 for a mug"
+_RANGE = re.compile(
+    r"(?P<lead>^ [^.;!?]*)\b(?P<kind>room|aisle|bay|ward|unit)s (?P<first>\d{1,4})"
+    r"(?: ?- ?| to | through )(?P<last>\d{1,4})\b",
+    re.I,
+)
+_MOST_MEMBERS = 12
+
+
+def _name_range(found: re.Match[str]) -> str:
+    """Return "visit room 1, room 2 and room 3"; a search and an empty or long range stay."""
+    first, last = int(found["first"]), int(found["last"])
+    if re.search(r"\b(?:search|look|find)\b", found["lead"], re.I):
+        return found[0]
+    if not first < last < first + _MOST_MEMBERS:
+        return found[0]
+    members = [f"{found['kind']} {number}" for number in range(first, last + 1)]
+    return f"{found['lead']}{', '.join(members[:-1])} and {members[-1]}"
 
 
 def _wait_first(found: re.Match[str]) -> str:
@@ -361,6 +379,7 @@ FIRST_REWRITES = (
     # "a cup or one mug", "find me one mug"
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
+    (_RANGE, _name_range),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     # "before you have been to the hall", "passing close to it", "and stop right there."
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
@@ -404,7 +423,11 @@ UNCLEAR = (
         "unclear which room; name it",
     ),
     (
-        re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I),
+        re.compile(
+            r"\b(?:check|see|look|find out|verify) (?:if|whether)\b|"
+            r"\b(?:check|verify|confirm) that (?:(?:the|all|every|no|there)\b|\")",
+            re.I,
+        ),
         "the robot can only check whether an object is there; say for example 'check whether the "
         "stove is in the kitchen'",
     ),

@@ -13,11 +13,12 @@ _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just 
 _DRIVES = (
     r"(?! (?:to|by|over|into|toward|towards|around|along|back|through|past|near|in|left|right|"
     r"on|out|off|aside|forward|forwards|closer|away|(?:me|us) to|"
-    r"a (?:look|peek|glance|tour|break)|"
+    r"a (?:look|peek|glance|tour|break|picture|photo)|some (?:pictures|photos)|down[.!]*$|"
     r"(?:(?:the|a|any) )?(?:way|route|path|road|street|bridge|hall|hallway|corridor|aisle|tunnel|"
     r"passage|alley))\b)"
 )
 """Refuses a match before words with which a verb of handling means driving: "move to"."""
+_ENDS = r"(?=[.,;!?]|$| (?:and|then)\b)"
 # Pattern of what the robot cannot do, and the hint of the refusal.
 _CANNOT = (
     (
@@ -36,6 +37,25 @@ _CANNOT = (
     ),
     (rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b", "the robot answers here in text, and does no more"),
     (rf"\b{phrase_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
+    (
+        rf"{_OPENS_CLAUSE}(?:(?:re)?charge(?: up)?|(?:(?:re)?charge|dock|\"x\") yourself){_ENDS}",
+        "name the place of the charger, as in 'go to the dock'",
+    ),
+    (
+        rf"{_OPENS_CLAUSE}(?:go away|back (?:up|off)|get (?:away|lost|out)|come (?:closer|near)|"
+        rf"move (?:aside|over|away|back|closer)|(?:get|move) out of (?:the|my) way)"
+        rf"(?: a (?:bit|little))?{_ENDS}",
+        "the robot drives only to objects, rooms and places; say where to go",
+    ),
+    (
+        r"^(?:good (?:job|work|night|bye|robot)|well done|nice (?:job|work)|goodbye|bye)[.!]*$",
+        "nothing is asked for; say for example 'go to the bed'",
+    ),
+    (
+        r"^(?:(?:shut|power) (?:down|off)|(?:turn|switch) (?:yourself )?off|reboot|restart|wake up|"
+        r"(?:go to )?sleep)[.!]*$",
+        "this starts or ends no program; to stop the robot, say 'stop'",
+    ),
     (
         rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
         "the robot knows no times of day; say what to do now",

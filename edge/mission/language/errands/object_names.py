@@ -66,7 +66,8 @@ def modifies(word: str) -> bool:
         return False
     if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
         return False
-    return word.strip("'").isalpha() and nouns.suggest_word(word) is None
+    is_slip = sorted(word) == sorted("the") or nouns.suggest_word(word)  # "teh kitchen"
+    return word.strip("'").isalpha() and not is_slip
 
 
 def relation_text(relation: str | None, anchor: str | None, other: str | None = None) -> str | None:

@@ -54,7 +54,7 @@ _OBJECTS = """
     toothbrush toy tractor traffic|light trailer train tray tree tricycle trolley truck typewriter
     vehicle van vent vending|machine violin walker wallet watch water|cooler water|dispenser
     whiteboard blackboard wheel wheelchair wine wire workbench zebra elephant bear till
-    charging|station charger dock docking|station
+    charging|station charger dock docking|station loading|dock
 """
 _EVERYDAY = """
     alarm album ambulance anvil apron armrest axe backpack badge bagpipe balance|bike ball balloon

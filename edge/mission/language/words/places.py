@@ -58,8 +58,10 @@ def mark_places(instruction: str, names: Iterable[str]) -> tuple[str, list[str]]
 
     def mark(found: re.Match[str]) -> str:
         name = " ".join(found[1].lower().split())
-        if found["next"] and nouns.is_noun(f"{name} {found['next'].lower()}"):
-            return found[0]  # "the reception desk" is one object
+        before = re.search(r"[\w'-]+ $", found.string[: found.start(1)])
+        longer = f"{before[0]}{name}".lower() if before else ""
+        if nouns.is_noun(f"{name} {found['next']}".lower()) or longer in nouns.NOUNS:
+            return found[0]  # "the reception desk" and "the loading dock" are one object
         return chr(_FIRST_MARK + known.index(name))
 
     pieces = re.split(r'("[^"]*")', instruction)
