@@ -279,6 +279,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("go to the second chair", "'second chair': the camera cannot see which one is the second"),
         ("go to 2nd chair, then the bed", "cannot see which one is the 2nd; give its kind"),
         ("avoid the left door. go to the bed", "which one is the left"),
+        ("go to the right-hand chair", "which one is the right-hand"),
         ("go to the middle armchair", "which one is the middle"),
         ("go to the second bedroom", "the second; give a room this name first"),
         ("go and recharge", "name the place of the charger"),

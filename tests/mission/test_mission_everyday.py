@@ -200,7 +200,7 @@ def test_questions_and_direct_orders_are_recognised(said, found):
         "forget everything you have seen", "forget that you saw the mug", "in the kitchen",
         "next to the bed", "do not go to the hall before you make it to the kitchen",
         "enough, now the kitchen", "stop, go to the kitchen", "the mug is here",
-        "the dock is here?",
+        "the dock is here?", "skip to the kitchen",
     ],
 )  # fmt: skip
 def test_errands_and_unclear_text_go_to_the_translators(said):
@@ -366,6 +366,7 @@ def test_a_reason_that_is_left_out_is_reported():
     [
         ("Go slowly to the bed.", "F bed", True),
         ("Go to the bed, quickly.", "F bed", True),
+        ("Go to the bed as fast as you can.", "F bed", True),
         ('Go to the "slow lane".', 'F "slow lane"', False),
     ],
 )

@@ -68,7 +68,7 @@ _SPEEDS = (
 )
 # " carefully" of "go carefully to the sofa", " very fast" of "go very fast to the bed"
 _MANNER = re.compile(
-    rf"(?:(?:,(?=[^,.;!?]*[.!]*$))?{_HOW} {_SPEEDS}"
+    rf"(?:(?:,(?=[^,.;!?]*[.!]*$))?{_HOW} (?:{_SPEEDS}|fast(?=(?: as (?:possible|you can))?[.!]*$))"
     rf"|(?P<verb> (?:drive|go|move|come)){_HOW} (?:fast|slow))"
     r"(?: enough| as (?:possible|you can))?(?=[ ,.;!?]|$)",
     re.I,
@@ -96,7 +96,7 @@ _IN_STATE = re.compile(
 # "the second chair", "the left door"; names of places are marked by now
 _BY_POSITION = re.compile(
     rf"\b(?:{ARTICLE}|to|find) (?P<which>{'|'.join(sorted(nouns.ORDINALS))}|\d+(?:st|nd|rd|th)|"
-    rf"left|right|middle|leftmost|rightmost) (?P<object>{PLAIN_NAME})",
+    rf"(?:left|right)(?:-hand)?|middle|leftmost|rightmost) (?P<object>{PLAIN_NAME})",
     re.I,
 )
 
