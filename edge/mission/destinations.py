@@ -211,10 +211,10 @@ def destination_of(text: str, site: Site) -> Destination | None:
         room = _room_name_of(found["room"], site)
         return ExploreTarget(room, found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
-        room = found["room"] or ""
-        if room and not is_room(room) and _room_of(room, site) is None:  # "keys in the drawer"
-            return CheckTarget(f"{found['name']} in {room}")
-        return CheckTarget(found["name"], _room_name_of(room, site))
+        name, room = found["name"], found["room"] or ""
+        if room and not is_room(room) and _room_of(room, site) is None:  # "milk in the fridge"
+            return CheckTarget(f"{name} in the {room}")
+        return CheckTarget(name, _room_name_of(room, site))
     if found := _EVERY.fullmatch(text):
         name, described = found["name"], parse_description(found["name"])
         if described is None and (is_room(name) or site.room_name(name)):

@@ -23,7 +23,7 @@ from edge.mission.destinations import (
 )
 from edge.mission.fallbacks import FallbackTranslator
 from edge.mission.language.errands.errand_patterns import CHECK, WAIT
-from edge.mission.language.errands.impossible import asks_for_work
+from edge.mission.language.errands.impossible import asks_for_work, says_manner
 from edge.mission.language.errands.outcomes import Branches, split_outcomes
 from edge.mission.language.errands.periods import Period, split_period
 from edge.mission.language.errands.spell_out import spell_out
@@ -165,6 +165,8 @@ def _translate_plain(
     english = translation.english + _note(order.speech.reasons, translation.formula)
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
+    if says_manner(text):
+        english += " (How fast it drives is set in the motion controller.)"
     if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
         english += " (One that it knows, else the first that it finds.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from edge import number_words
 from edge.memory import parse_description
 from edge.mission.destinations import (
     CALLER,
@@ -24,14 +23,17 @@ from edge.mission.destinations import (
     WaitTarget,
     describe_destination,
 )
-from edge.mission.language.grammar.english import Chain, alternatives_of, is_too_long, options_of
+from edge.mission.language.grammar.english import (
+    Chain,
+    alternatives_of,
+    is_numbered,
+    is_too_long,
+    options_of,
+)
 from edge.mission.language.words.everyday_words import is_room
 from edge.mission.language.words.places import HERE, START
 from edge.mission.language.words.spans import shown_s
 from edge.mission.logic.ltl import Formula, conj
-
-# A name that ends in a number or a letter: "room 12".
-_NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(number_words.SMALL_NUMBERS)})")
 
 
 def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
@@ -137,7 +139,8 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         seconds = destination.seconds
         return "wait until told to go on" if seconds is None else f"wait {shown_s(seconds)}"
     if isinstance(destination, CheckTarget):
-        return f"check if there is a {re.sub('^check (the )?', '', name)}"
+        checked = re.sub("^check (the )?", "", name)
+        return f"check if there is a{'n' * (checked[0] in 'aeiou')} {checked}"
     if name in (START, HERE):
         return "go back to the start" if name == START else "come back to where this mission began"
     if name == CALLER:
@@ -153,4 +156,4 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
 
 def _with_article(name: str) -> str:
     """Return a name with an article, if it has no number: "the kitchen", "room 12"."""
-    return name if _NUMBERED.fullmatch(name) else f"the {name}"
+    return name if is_numbered(name) else f"the {name}"

@@ -33,6 +33,7 @@ from edge.mission.language.words.tokens import unclear
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
+from edge.mission.logic.goal_sequence import split_bans
 from edge.mission.logic.ltl import Formula
 from edge.mission.planning.planner import make_planner
 from edge.mission.repetition import Repetition, recurrence
@@ -214,9 +215,15 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
         raise MissionError(f"mission: a contradiction, {what}: {parts}; remove or change a part")
     if automaton.steps_left[0] == 0:
         always = ", whatever is reached" if diagnosis.tautology else ""
+        hint = "name something to reach"
+        if not always and not split_bans(formula)[0]:
+            hint += (
+                ", as in 'go to the kitchen, but avoid the sofa'; only a room can be forbidden for "
+                "good, as in 'stay out of the bedroom'"
+            )
         raise MissionError(
             f"mission: {one_line(formula)} ({one_line(translation.english)}) is fulfilled by doing "
-            f"nothing{always}; name something to reach"
+            f"nothing{always}; {hint}"
         )
     targets = tuple(name for name in propositions if name not in diagnosis.unused)
     automaton = _without_unused(automaton, targets)

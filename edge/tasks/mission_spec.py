@@ -14,10 +14,11 @@ from edge import names
 from edge.config import Config, TranslatorLtl, WriterModel
 from edge.memory import Site
 from edge.mission.instructions import MissionError
+from edge.mission.language.errands.impossible import says_manner, without_manner
 from edge.mission.language.intents import NoMissionError
 from edge.mission.language.words import nouns
 from edge.mission.language.words.places import quote_places
-from edge.mission.language.words.tokens import UnclearError
+from edge.mission.language.words.tokens import UnclearError, unclear
 from edge.mission.logic import ltl
 from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import MissionSpec, prepare, spec_of_task
@@ -70,9 +71,12 @@ def prepare_mission(
         return prepare(config.mission, site=site, **mission)
     path_error = None
     try:
-        is_path = _is_path(instruction, site)
+        is_path = _is_path(without_manner(f" {instruction}").strip(), site)
     except TranslationError as error:
         is_path, path_error = False, error
+    if is_path and says_manner(instruction):
+        hint = "how fast it drives is set in the motion controller; leave that out"
+        raise unclear(instruction, hint)
     if is_path and _PASSES.search(instruction) and not _BANS.search(instruction):
         return prepare_task(config, instruction)
     try:

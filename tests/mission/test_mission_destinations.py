@@ -55,7 +55,7 @@ SITE = Site((Place("dock", DOCK), Place("wait 5 s", DOCK)))
         ("check stove", CheckTarget("stove")),
         ("check the red mug", CheckTarget("red mug")),
         ("check the kettle in the kitchen", CheckTarget("kettle", "kitchen")),
-        ("check keys in the drawer", CheckTarget("keys in drawer")),
+        ("check keys in the drawer", CheckTarget("keys in the drawer")),
     ],
 )
 def test_the_text_decides(text, meant):

@@ -44,6 +44,7 @@ SAID = [
     ("F(bed & F bed)",  # the same visit may count twice, so it must not read "then the bed"
      "See to it, from the first step on, that now or later (the bed is reached at that step and "
      "(now or later the bed is reached at that step))."),
+    ('F "shelf 12" & G !"gate b"', "Reach shelf 12. Never reach gate b."),
 ]  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from edge.mission.language.words.everyday_words import bare, is_room
 from edge.mission.language.words.spans import DURATION, seconds_of
 from edge.mission.language.words.tokens import TranslationError, UnclearError
 
-PLACES = ["dock", "loading bay 2"]
+PLACES = ["dock", "loading bay 2", "left office"]
 
 
 @pytest.mark.parametrize(
@@ -154,6 +154,9 @@ PLACES = ["dock", "loading bay 2"]
          'go to "dock", then go to the bed; repeat for 10 min'),
         ("patrol the dock and the bed, just keep doing that",
          'go to "dock", then go to the bed; repeat until told'),
+        ("do your rounds", 'go to "every room"; repeat until told'),
+        ("make two rounds", 'go to "every room"; repeat 2 times'),
+        ("make a round of the dock and the bed", 'go to "dock", then go to the bed'),
         # Checks and waits.
         ("check whether the stove is there", 'go to "check stove"'),
         ("go and see if the ladder is still next to the door",
@@ -201,6 +204,41 @@ PLACES = ["dock", "loading bay 2"]
         ("find the cup and let me know when you have found it", "find the cup"),
         ("visit the bed at some point", "visit the bed at some point"),
         ("there is a crate behind the door, drive to it", 'go to "crate behind the door"'),
+        ("find a mug in the kitchen and a book in the bedroom",
+         'find "mug in the kitchen" and "book in the bedroom"'),
+        ("find a mug on the desk or a red book in the bedroom",
+         'find "mug on the desk" or "red book in the bedroom"'),
+        ("look for a mug on the desk and on the table",
+         'find "mug on the desk" or "mug on the table"'),
+        # Not by its place in a row.
+        ("find the first aid kit", "find the first aid kit"),
+        ("go to the second floor", "go to the second floor"),
+        ("first go to the bed, second the desk", "first go to the bed, second the desk"),
+        ("go to the left office", 'go to "left office"'),
+        ("turn right at the gate", "turn right at the gate"),
+        ("search the desk for my keys", 'find "keys on the desk"'),
+        ("search the fridge for milk", 'find "milk in the fridge"'),
+        ("look under the bed for my keys", 'find "keys under the bed"'),
+        ("look in the desk for my keys", 'find "keys in the desk"'),
+        ("check the desk for my keys", 'go to "check keys on the desk"'),
+        ("search the lamp for my keys", "find the lamp for my keys"),
+        ("go to rooms 3 to 5", "go to room 3, room 4 and room 5"),
+        ("search rooms 3 to 5 for a mug", "find rooms 3 to 5 for a mug"),
+        ("go to the tea kitchen", 'go to "tea kitchen"'),
+        ("go to teh kitchen", "go to the teh kitchen"),
+        # Longer names than that of a place.
+        ("go to dock 12, then the dock", 'go to dock 12, then "dock"'),
+        ("go to the dock 12 times", 'go to "dock" 12 times'),
+        # In a manner.
+        ("go carefully to the sofa", "go to the sofa"),
+        ("drive very slowly to the bed, quietly.", "go to the bed."),
+        ("go really fast to the bed but do not go quickly to the sofa",
+         "go to the bed but do not go quickly to the sofa"),
+        ("find the fast food counter", 'find "fast food counter"'),
+        ("search the bedroom thoroughly", 'go to "explored bedroom"'),
+        ("I lost my keys", "find my keys"),
+        ("go to where the tv is", "go to the tv"),
+        ("go where the tv is, then come back", 'go to the tv, then go to "here"'),
         # Named first.
         ("My stick should be under the bed, go and find it", 'find "stick under the bed"'),
         ("the nearest chair to the bed, park up there", 'go to "chair nearest to the bed"'),
@@ -239,6 +277,24 @@ def test_an_errand_is_spelled_out(said, plain):
         ("move along the wall", "along an object"),
         ("go to the kitchen stop go to the bedroom", "two sentences"),
         ("find the mug in rooms 3 and 4", "unclear what to do with the second"),
+        ("go to the second chair", "'second chair': the camera cannot see which one is the second"),
+        ("go to 2nd chair, then the bed", "cannot see which one is the 2nd; give its kind"),
+        ("avoid the left door. go to the bed", "which one is the left"),
+        ("go to the right-hand chair", "which one is the right-hand"),
+        ("go to the middle armchair", "which one is the middle"),
+        ("go to the second bedroom", "the second; give a room this name first"),
+        ("go and recharge", "name the place of the charger"),
+        ("dock yourself", "name the place of the charger"),
+        ("come closer", "drives only to objects"),
+        ("get out of my way", "drives only to objects"),
+        ("well done!", "nothing is asked for"),
+        ("shut down", "starts or ends no program"),
+        ("take a picture of the bed", "in text, and does no more"),
+        ("check that the fire exit is clear", "only check whether an object is there"),
+        ("hurry up!", "how fast it drives is set in the motion controller"),
+        ("slow down a bit", "how fast it drives"),
+        ("drive faster", "how fast it drives"),
+        ("find a mug on the desk and on the table", "unclear what to do with the second"),
         ("go to the hall, and on the way check if the cart is there", "unclear order; say first"),
         ("call the nurse", "in text"),
         ("follow me", "cannot follow"),
@@ -284,6 +340,12 @@ def test_an_impossible_errand_is_refused_in_one_line(said, hint):
     with pytest.raises(UnclearError, match=hint) as error:
         spell_out(said, PLACES)
     assert "\n" not in str(error.value)
+
+
+def test_an_object_may_have_the_name_of_a_place_before_it():
+    assert spell_out("go to the reception desk", ["reception"]) == "go to the reception desk"
+    assert spell_out("go to the loading dock", ["dock"]) == "go to the loading dock"
+    assert spell_out("go to the reception", ["reception"]) == 'go to "reception"'
 
 
 @pytest.mark.parametrize(

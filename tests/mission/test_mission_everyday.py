@@ -22,7 +22,7 @@ from edge.mission.language.intents import (
 )
 from edge.mission.language.remarks import is_remark
 from edge.mission.language.tidy import tidy_up
-from edge.mission.language.words.tokens import TranslationError
+from edge.mission.language.words.tokens import TranslationError, UnclearError
 from edge.mission.spec import prepare
 
 EVERYDAY = {
@@ -52,6 +52,8 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("I can't find my keys, have you seen them?", MemoryQuestion("where", "keys")),
         ("Is there a wheelchair in room 3?", MemoryQuestion("exists", "wheelchair", "room 3")),
         ("Did you see a uh yellow suitcase anywhere?", MemoryQuestion("exists", "yellow suitcase")),
+        ("How long ago did you see the mug?", MemoryQuestion("where", "mug")),
+        ("What's your plan?", MemoryQuestion("doing")),
         ("Which rooms do you know?", MemoryQuestion("rooms")),
         ("What did you see in the office?", MemoryQuestion("seen", "", "office")),
         ("Where are you?", MemoryQuestion("self")),
@@ -130,6 +132,10 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Stay in this room.", SiteOrder("stay_inside", "")),
         ("Aisle 3's blocked, don't go down there.", SiteOrder("keep_out", "aisle 3")),
         ("The kitchen is clean, do not go into the hall.", SiteOrder("keep_out", "hall")),
+        ("Avoid the hall at all costs.", SiteOrder("keep_out", "hall")),
+        ("Skip the dock.", SiteOrder("keep_out", "dock")),
+        ("The dock is now here.", SiteOrder("place", "dock")),
+        ("The office is here", SiteOrder("room", "office")),
         ("In the bathroom you may not go.", SiteOrder("keep_out", "bathroom")),
         ("I've finished in the bathroom, so you can go in again.", SiteOrder("open", "bathroom")),
         ("It is forbidden for you to enter in the hall, always.", SiteOrder("keep_out", "hall")),
@@ -184,16 +190,17 @@ def test_questions_and_direct_orders_are_recognised(said, found):
         "look for a blanket, but keep out of the kitchen", "stop, go to the dock",
         "wait two minutes, then go to the dock", "you may go into the kitchen",
         "stay out of the kitchen until you have found the mug", "do not go near the stove",
-        "you are not in the kitchen", "is the sofa red?", "this is not the office",
+        "you are not in the kitchen", "this is not the office",
         "the kitchen is free now, you can go in there", "do not go to the kitchen before we leave",
-        "you got to go to the kitchen", "is there no mug?", "tell me about the kitchen",
+        "you got to go to the kitchen", "tell me about the kitchen",
         "there is some bread on the desk", "you are in a very big bathroom", "it is raining",
         "this is fun", "this is the worst",
         "this place is crowded", "it is the red one", "drop the mug",
-        "which rooms have you not seen?", "which rooms are blocked?", "could you see if it is red",
+        "could you see if it is red",
         "forget everything you have seen", "forget that you saw the mug", "in the kitchen",
         "next to the bed", "do not go to the hall before you make it to the kitchen",
-        "enough, now the kitchen", "stop, go to the kitchen", "is it on the desk or is it broken?",
+        "enough, now the kitchen", "stop, go to the kitchen", "the mug is here",
+        "the dock is here?", "skip to the kitchen",
     ],
 )  # fmt: skip
 def test_errands_and_unclear_text_go_to_the_translators(said):
@@ -206,6 +213,18 @@ def test_errands_and_unclear_text_go_to_the_translators(said):
 def test_several_orders_at_once_are_refused(said):
     with pytest.raises(TranslationError, match="say one at a time"):
         understand(said, NAMES)
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["How big is the kitchen?", "who are you", "what time is it", "how do I get to the bed",
+     "Is the door open?", "where have you been", "is the sofa red?", "is there no mug?",
+     "which rooms have you not seen?", "which rooms are blocked?",
+     "is it on the desk or is it broken?"],
+)  # fmt: skip
+def test_a_question_without_an_answer_is_refused_as_one(said):
+    with pytest.raises(UnclearError, match="a question that the robot cannot answer; it can say"):
+        understand(said)
 
 
 @pytest.mark.parametrize("said", ["Remember the dock.", "save the mug and the bed"])
@@ -249,6 +268,11 @@ def test_an_order_to_remember_needs_a_name(said):
         ("Pretend you're the castle guard and go to the bed", "go to the bed", ()),
         ("It is late so go to the bed", "go to the bed", ("It is late",)),
         ("find the mug, I don't know where it is", "find the mug", ("I do not know where it is",)),
+        ("bed -> sofa", "bed, then sofa", ()),
+        ("1. go to the bed. 2. the sofa", "go to the bed, then the sofa", ()),
+        ("1) shelf 2.\n2) the bed", "shelf 2, then the bed", ()),
+        ("- the bed\n- the sofa", "the bed, then the sofa", ()),
+        ("go to room 1. then go on", "go to room 1. then go on", ()),
         ('go to "no sorry the bed"', 'go to "no sorry the bed"', ()),
     ],
 )  # fmt: skip
@@ -335,6 +359,26 @@ def test_no_part_of_an_order_is_lost(said):
 def test_a_reason_that_is_left_out_is_reported():
     found = translate(MissionConfig(), "Go to the bed, I heard a noise!")
     assert found.english == "Reach the bed. (Not part of the order: 'I heard a noise'.)"
+
+
+@pytest.mark.parametrize(
+    ("said", "formula", "is_remarked"),
+    [
+        ("Go slowly to the bed.", "F bed", True),
+        ("Go to the bed, quickly.", "F bed", True),
+        ("Go to the bed as fast as you can.", "F bed", True),
+        ('Go to the "slow lane".', 'F "slow lane"', False),
+    ],
+)
+def test_a_manner_is_not_promised(said, formula, is_remarked):
+    translation = translate(MissionConfig(), said)
+    assert str(translation.formula) == formula
+    assert ("How fast it drives" in translation.english) is is_remarked
+
+
+def test_a_ban_on_haste_is_no_ban_on_the_object():
+    with pytest.raises(TranslationError, match="quickly"):
+        translate(MissionConfig(), "Go to the bed, but do not go to the sofa quickly.")
 
 
 def test_nearest_is_not_promised():

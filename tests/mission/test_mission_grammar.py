@@ -222,6 +222,7 @@ def test_refuses_by_name(sentence: str, part: str) -> None:
         ("visit the bed forever", "a mission ends"),
         ("visit the bed frame", '"bed frame"'),
         ("go to the firdge", "firdge: fridge\\?"),
+        ("go to teh kitchn", "kitchn: kitchen\\?"),
         ("turn left and go to the bed", "'left': unknown word, and not an object"),
         ("find out whether the lamp is on", "'whether': unknown word, and not an object"),
         ("go to the sofa after an hour", "times and distances cannot be used"),

@@ -22,7 +22,7 @@ def test_a_bare_target_becomes_a_formula():
         ("F a & F b & (!a W b) & (!b W a)", ["contradiction", "!a W b", "!b W a"]),
         ("a & b", ["contradiction", "these parts conflict"]),
         ("F (a & b)", ["contradiction", "cannot be done"]),
-        ("G !bed", ["doing nothing", "G !bed"]),
+        ("G !bed", ["doing nothing", "G !bed", "'stay out of the bedroom'"]),
         ("a | !a", ["doing nothing"]),
         ("X true", ["doing nothing"]),
         ("F !a", ["doing nothing"]),

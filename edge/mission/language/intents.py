@@ -27,7 +27,7 @@ from edge.mission.language.words.everyday_words import (
 from edge.mission.language.words.places import is_marked
 from edge.mission.language.words.spans import seconds_of
 from edge.mission.language.words.templates import SentenceTemplate, compile_templates, first_match
-from edge.mission.language.words.tokens import UnclearError
+from edge.mission.language.words.tokens import UnclearError, unclear
 from edge.mission.language.words.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
 Topic = Literal["where", "exists", "count", "rooms", "places", "doing", "help", "seen", "self"]
@@ -167,6 +167,17 @@ _REMEMBER = re.compile(
     rf"(?:remember|memori[sz]e|save|store|note) {NAME}(?:(?:,| and| or)+ {NAME})*[.!]*", re.I
 )
 """An order to remember that does not say as what; the grammar would read a visit."""
+_QUESTION = re.compile(
+    r"(?:(?:how|what|which|whose)(?: [\w'-]+){0,3}?|who|whom|why|when|where)"
+    r" (?:is|are|am|was|were|do|does|did|have|has|had|can|could|will|would|should)\b"
+    r"[^.,;:!?]*[.!?]*"
+    r"|(?:is|are|am|was|were|does|did|has|had|do (?:you|we|i)|have (?:you|we|i))\b[^.,;:!?]*\?",
+    re.I,
+)
+_UNANSWERED = (
+    "a question that the robot cannot answer; it can say where an object or itself is, when it saw "
+    "something, how many it knows of, which rooms and places it knows, and what it is doing"
+)
 _SEVERAL_KINDS = "instruction: say one at a time: an errand, a question, or what to remember"
 
 
@@ -209,6 +220,8 @@ def understand(utterance: str, sites: Collection[str] = ()) -> Intent:
             return MissionOrder(replace(speech, text=check))
     if (order_to_find := _as_search(speech.text, sites)) is not None:
         return MissionOrder(replace(speech, text=order_to_find))
+    if _QUESTION.fullmatch(speech.text):
+        raise unclear(speech.text, _UNANSWERED)
     pieces = [strip_politeness(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
     pieces = [piece for piece in pieces if piece and not is_remark(piece, states=True)]
     kinds = [_classify(piece, sites) for piece in pieces]
@@ -269,6 +282,8 @@ def _classify(text: str, sites: Collection[str]) -> Intent | None:
             slots = first_match([pattern], plain)
             if slots is None or not all(slot in asked for slot in slots.values()):
                 continue
+            if kind == "moved" and text.endswith("?"):
+                continue  # "the dock is here?"
             if _slots_fit(kind, slots, sites):
                 return _make_kind(kind, slots)
     return None
@@ -284,6 +299,12 @@ def _is_place_name(name: str) -> bool:
     return last not in NOWHERE and (is_object or nouns.is_place(plain))
 
 
+def _may_move(name: str, sites: Collection[str]) -> bool:
+    """Return True if "the dock is here" names a place, unlike "the doctor is here"."""
+    is_numbered_kind = name.split()[-1] in nouns.NUMBERED
+    return name in sites or is_room(name) or nouns.is_place(name) or is_numbered_kind
+
+
 def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> bool:
     """Return True if each slot has a name of its kind; a zone may also be of one of the sites."""
     room = bare(slots.get("room", ""))
@@ -292,6 +313,8 @@ def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> b
     if "within" in slots and not is_room(bare(slots["within"])):
         return False
     if kind == "stated" and not _is_place_name(slots["name"]):
+        return False
+    if kind == "moved" and not _may_move(bare(slots["name"]), sites):
         return False
     if bare(slots.get("anchor", "x")).split()[-1] in NOWHERE:
         return False
@@ -318,6 +341,6 @@ def _make_kind(kind: str, slots: Mapping[str, str]) -> Intent:
         span = slots.get("span")
         return Control(kind, seconds_of(span) if span else None)  # type: ignore[arg-type]
     name = bare(slots.get("site", slots.get("name", ""))) or room
-    if kind in ("place", "stated"):
+    if kind in ("place", "stated", "moved"):
         kind = "room" if is_room(name) else "place"
     return SiteOrder(kind, name)  # type: ignore[arg-type]

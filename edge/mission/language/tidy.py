@@ -17,6 +17,8 @@ from edge.mission.language.words.spelling import WORD, expand_word
 from edge.mission.language.words.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
+_ARROW = re.compile(r"\s*(?:[-=]+>|[→➔➜])\s*")
+_BULLET = re.compile(r"(?:^|[.,;]*\n)\s*[-*•]\s+")
 _FIRST_MARK = 0xE000  # private characters stand for quotations
 # Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "u": "you", "id": "i would", "till": "until",
@@ -86,6 +88,10 @@ _ADDRESS = re.compile(r", (?:my )?(?:dear|love|darling|mate|buddy|friend|robot),
 _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?", re.I)
 # No closing phrase is removed after such an end: "the robot" stays complete.
 _ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
+# "do not go to the sofa quickly" does not forbid the sofa.
+_FORBIDS_HASTE = re.compile(
+    r"\b(?:not|never|without)\b[^.;!?,]* (?:quick|quickly|fast|carefully)[ .!?]*$", re.I
+)
 _CLAUSE_END = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
 # Words that may refer to a name in another clause.
 _REFERS = re.compile(
@@ -129,7 +135,7 @@ def tidy_up(utterance: str) -> TidySpeech:
         quoted.append(found[0])
         return chr(_FIRST_MARK + len(quoted) - 1)
 
-    text = " ".join(_QUOTED.sub(hide, utterance.translate(STRAIGHT)).split())
+    text = " ".join(_join_list(_QUOTED.sub(hide, utterance.translate(STRAIGHT))).split())
     text = _APOSTROPHE_IS.sub(" is ", WORD.sub(_expand, text))
     text = " ".join(_HESITATION.sub(_keep_if_it_corrects, text).split())
     text = _ADDRESS.sub(",", text)
@@ -146,6 +152,20 @@ def tidy_up(utterance: str) -> TidySpeech:
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", strip_politeness(kept))
     repaired = unrepeated != text or text_after_corrections != uncorrected
     return TidySpeech(kept, reasons, repaired, tuple(quoted))
+
+
+def _join_list(text: str) -> str:
+    """Return a list with arrows, numbers or bullets as a sequence: "1. the bed 2. the sofa"."""
+    text = _ARROW.sub(", then ", text)
+    if bulleted := _BULLET.match(text):
+        return _BULLET.sub(", then ", text[bulleted.end() :])
+    mark, number = r"\s*", 1
+    while item := re.match(rf"(?P<before>.*?){mark}{number}[.)]\s+", text, re.S):
+        if number == 1 and item["before"]:
+            break
+        text = f"{item['before']}{', then ' * (number > 1)}{text[item.end() :]}"
+        mark, number = r"[\s,;.]*\n\s*" if "\n" in text else r"[\s,;.]+", number + 1
+    return text
 
 
 def _expand(found: re.Match[str]) -> str:
@@ -186,7 +206,8 @@ def strip_politeness(text: str) -> str:
         opened = _OPENING.match(text)
         text = text[opened.end() :] if opened and opened.end() < len(text) else text
         closed = _CLOSING.sub("", text)
-        text = text if not closed or _ENDS_IN_ARTICLE.search(closed) else closed
+        is_kept = not closed or _ENDS_IN_ARTICLE.search(closed) or _FORBIDS_HASTE.search(text)
+        text = text if is_kept else closed
     return text.strip(" ,")
 
 

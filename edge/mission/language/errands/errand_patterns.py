@@ -54,6 +54,7 @@ SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look) [around|round|in|at|
             inside|through]* <room> for <object>
     (search|look) {whole} for <object>
+    {goes} (search|look|check) <relation> <anchor> for <own>
     {goes} (search|look (in|into|through)) <stops> for <object>
     (look|search) for <object> in <stops>
     [keep [on]] {goes} ((explore|exploring|searching|look|looking) [around]|{look}) [{whole}|<room>]
@@ -160,11 +161,14 @@ WAITS = """
     {then} (wait|stay|remain) {until_told}
 """
 # "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
-# (`other`), "the mug on the desk or by the bed" (`again`, `else`)
+# (`two`, `other`), "the mug on the desk or by the bed" (`joint`, `again`, `else`), but not "the mug
+# on the desk or the lamp by the bed"
+_BY = phrase_of("relation")
 RELATED = re.compile(
-    rf" (?P<object>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
-    rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
-    rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
+    rf" (?P<object>{NAME})(?: {phrase_of('standing')})? (?P<relation>(?P<two>between\b)|{_BY})"
+    rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?(two)"
+    rf"(?: and (?P<other>(?:the|a) {NAME}))?|(?: (?P<joint>or|and(?= {_BY} ))"
+    rf" (?:(?P<again>{_BY}) )?(?=(?P<else>{NAME}))(?P=else)(?(again)|(?! {_BY} )))?)(?=[ ,.;!?]|$)",
     re.I,
 )
 # "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug: find
@@ -241,6 +245,8 @@ RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
 }  # fmt: skip
+# Before a name: any of several places will do for "look for a mug on the desk and on the table".
+LOOKS_FOR = re.compile(r"\b(?:look|search|hunt)(?:ing)?(?: \w+)? for$", re.I)
 # A word after which a name without an article may come.
 LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
@@ -255,6 +261,24 @@ _NUMBERED = re.compile(
     r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
     re.I,
 )
+# "visit rooms 1 to 5", and not "search rooms 1 to 5 for a mug"
+_RANGE = re.compile(
+    r"(?P<lead>^ [^.;!?]*)\b(?P<kind>room|aisle|bay|ward|unit)s (?P<first>\d{1,4})"
+    r"(?: ?- ?| to | through )(?P<last>\d{1,4})\b",
+    re.I,
+)
+_MOST_MEMBERS = 12
+
+
+def _name_range(found: re.Match[str]) -> str:
+    """Return "visit room 1, room 2 and room 3"; a search and an empty or long range stay."""
+    first, last = int(found["first"]), int(found["last"])
+    if re.search(r"\b(?:search|look|find)\b", found["lead"], re.I):
+        return found[0]
+    if not first < last < first + _MOST_MEMBERS:
+        return found[0]
+    members = [f"{found['kind']} {number}" for number in range(first, last + 1)]
+    return f"{found['lead']}{', '.join(members[:-1])} and {members[-1]}"
 
 
 def _wait_first(found: re.Match[str]) -> str:
@@ -266,6 +290,10 @@ def _wait_first(found: re.Match[str]) -> str:
         return f" wait {found['span']}, then"
     before = re.split(r"[.;!?,]| and | then ", found.string[: found.start()])[-1]
     return found[0] if _LASTS.search(before) else f", then wait {found['span']}, then"
+
+
+def _rounds(count: str | None) -> str:
+    return f", {count} rounds" if count and count != "a" else ""
 
 
 _LASTS = re.compile(
@@ -280,6 +308,18 @@ FIRST_REWRITES = (
     # "the room where the tv is"
     (re.compile(rf"\bthe room (?:where|in which) (?P<anchor>(?:the|my|our) {PLAIN_NAME}) "
                 r"(?:is|are|stands)(?=[,.;!?]|$)", re.I), r"the room with \g<anchor>"),
+    # "do your rounds", "make two rounds"
+    (re.compile(r"^ (?:go and )?(?:do|make|start|begin|go on)(?: (?:your|the|some|a|"
+                rf"(?P<count>{COUNT})))?(?: usual| daily)* (?:rounds?|patrol)"
+                r"(?=[.!]*$| (?:for|twice|until|\d+ times)\b)", re.I),
+     lambda found: f" patrol the house{_rounds(found['count'])}"),
+    # "go to where the tv is"
+    (re.compile(r" (?P<go>go|drive|come|move|head|run|get)(?: over)?(?: to)? where (?P<anchor>"
+                rf"(?:the|my|our) {PLAIN_NAME}) (?:is|are)(?=[,.;!?]|$| (?:and|then)\b)", re.I),
+     r" \g<go> to \g<anchor>"),
+    # "I lost my keys"
+    (re.compile(r"^ (?:i|we)(?: have)?(?: just)? (?:lost|mislaid|misplaced)"
+                r"(?= (?:my|our|the) [^,.;!?]*[.!?]*$)", re.I), " find"),
     # "look around the house, every room"
     (re.compile(r"\b(house|home|flat|apartment|building|place), (?:every|each) (?:single )?room\b",
                 re.I), r"\1"),
@@ -339,6 +379,7 @@ FIRST_REWRITES = (
     # "a cup or one mug", "find me one mug"
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
+    (_RANGE, _name_range),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     # "before you have been to the hall", "passing close to it", "and stop right there."
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
@@ -382,7 +423,11 @@ UNCLEAR = (
         "unclear which room; name it",
     ),
     (
-        re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I),
+        re.compile(
+            r"\b(?:check|see|look|find out|verify) (?:if|whether)\b|"
+            r"\b(?:check|verify|confirm) that (?:(?:the|all|every|no|there)\b|\")",
+            re.I,
+        ),
         "the robot can only check whether an object is there; say for example 'check whether the "
         "stove is in the kitchen'",
     ),
@@ -430,6 +475,7 @@ ANOTHER = re.compile(
     re.I,
 )
 GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
+SEARCHED_ROOM = re.compile(rf"^ search (?P<room>{NAME})(?=[.!]*$)", re.I)
 GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
 IN_TURN = "go to <stops>"
 FINDS = re.compile(rf"{_CLAUSE_START}{phrase_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from edge.mission.language.errands.errand_patterns import BAN
+from edge.mission.language.words import nouns
 from edge.mission.language.words.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
 from edge.mission.language.words.tokens import UnclearError, unclear
 
@@ -11,11 +13,12 @@ _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just 
 _DRIVES = (
     r"(?! (?:to|by|over|into|toward|towards|around|along|back|through|past|near|in|left|right|"
     r"on|out|off|aside|forward|forwards|closer|away|(?:me|us) to|"
-    r"a (?:look|peek|glance|tour|break)|"
+    r"a (?:look|peek|glance|tour|break|picture|photo)|some (?:pictures|photos)|down[.!]*$|"
     r"(?:(?:the|a|any) )?(?:way|route|path|road|street|bridge|hall|hallway|corridor|aisle|tunnel|"
     r"passage|alley))\b)"
 )
 """Refuses a match before words with which a verb of handling means driving: "move to"."""
+_ENDS = r"(?=[.,;!?]|$| (?:and|then)\b)"
 # Pattern of what the robot cannot do, and the hint of the refusal.
 _CANNOT = (
     (
@@ -35,9 +38,45 @@ _CANNOT = (
     (rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b", "the robot answers here in text, and does no more"),
     (rf"\b{phrase_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
     (
+        rf"{_OPENS_CLAUSE}(?:(?:re)?charge(?: up)?|(?:(?:re)?charge|dock|\"x\") yourself){_ENDS}",
+        "name the place of the charger, as in 'go to the dock'",
+    ),
+    (
+        rf"{_OPENS_CLAUSE}(?:go away|back (?:up|off)|get (?:away|lost|out)|come (?:closer|near)|"
+        rf"move (?:aside|over|away|back|closer)|(?:get|move) out of (?:the|my) way)"
+        rf"(?: a (?:bit|little))?{_ENDS}",
+        "the robot drives only to objects, rooms and places; say where to go",
+    ),
+    (
+        r"^(?:good (?:job|work|night|bye|robot)|well done|nice (?:job|work)|goodbye|bye)[.!]*$",
+        "nothing is asked for; say for example 'go to the bed'",
+    ),
+    (
+        r"^(?:(?:shut|power) (?:down|off)|(?:turn|switch) (?:yourself )?off|reboot|restart|wake up|"
+        r"(?:go to )?sleep)[.!]*$",
+        "this starts or ends no program; to stop the robot, say 'stop'",
+    ),
+    (
         rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
         "the robot knows no times of day; say what to do now",
     ),
+)
+_HOW = r"(?: (?:a (?:little|bit)|very|really|so|quite|rather|as|much|more|super))*"
+_SPEEDS = (
+    r"(?:carefully|cautiously|slowly|quickly|swiftly|rapidly|speedily|gently|quietly|silently|calmly|"
+    r"smoothly|steadily|hurriedly|thoroughly|properly|faster|slower|quicker)"
+)
+# " carefully" of "go carefully to the sofa", " very fast" of "go very fast to the bed"
+_MANNER = re.compile(
+    rf"(?:(?:,(?=[^,.;!?]*[.!]*$))?{_HOW} (?:{_SPEEDS}|fast(?=(?: as (?:possible|you can))?[.!]*$))"
+    rf"|(?P<verb> (?:drive|go|move|come)){_HOW} (?:fast|slow))"
+    r"(?: enough| as (?:possible|you can))?(?=[ ,.;!?]|$)",
+    re.I,
+)
+_ONLY_MANNER = re.compile(
+    rf"(?: (?:go|drive|move|run|walk|come))?{_HOW} (?:{_SPEEDS}|(?:hurry|slow|speed)(?: it)?"
+    r"(?: up| down)|hurry|fast|slow|quick)(?: a (?:bit|little)| enough)?[.!]*",
+    re.I,
 )
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
@@ -54,18 +93,69 @@ _IN_STATE = re.compile(
 )
 
 
-def refuse_states(text: str) -> None:
-    """Refuse an object by a state that only people see, such as "a free chair".
+# "the second chair", "the left door"; names of places are marked by now
+_BY_POSITION = re.compile(
+    rf"\b(?:{ARTICLE}|to|find) (?P<which>{'|'.join(sorted(nouns.ORDINALS))}|\d+(?:st|nd|rd|th)|"
+    rf"(?:left|right)(?:-hand)?|middle|leftmost|rightmost) (?P<object>{PLAIN_NAME})",
+    re.I,
+)
+
+
+def refuse_unseen(text: str) -> None:
+    """Refuse an object by what only people see: "a free chair", "the second chair".
 
     Raises:
-        UnclearError: the text names a state.
+        UnclearError: the text names a state, a number or a side.
     """
+    for found in _BY_POSITION.finditer(text):
+        words, which = found["object"].lower().split(), found["which"].lower()
+        # The longest known name: "chair" of "the left chair straight away".
+        known = next((n for n in range(len(words), 0, -1) if _is_known(words[:n])), 0)
+        is_storey = words[0] in _STOREYS and which not in ("left", "right", "middle", "last")
+        if known and not is_storey and not nouns.is_noun(" ".join((which, *words[:known]))):
+            is_named = is_room(" ".join(words[:known]))
+            hint = "give a room this name first" if is_named else "give its kind, colour or size"
+            part = text[found.start("which") : found.end()]
+            raise unclear(part, f"the camera cannot see which one is the {which}; {hint}")
     for found in _IN_STATE.finditer(text):
         hint = f"the robot cannot see if an object is {found['state'].lower()}; leave the word out"
         raise UnclearError(
             f"instruction: {found[0]!r}: {hint}, or quote the full name if it is a kind of object",
             found[0],
         )
+
+
+_STOREYS = nouns.NUMBERED - {"room", "door"}
+"""Kinds whose members people number: "the second floor" is a name."""
+
+
+def _is_known(words: list[str]) -> bool:
+    return nouns.unknown_in(words) is None or is_room(" ".join(words))
+
+
+def without_manner(text: str) -> str:
+    """Return a text without adverbs of manner, except in bans: "go slowly to the sofa".
+
+    Raises:
+        UnclearError: the text only says how to drive.
+    """
+    if _ONLY_MANNER.fullmatch(text):
+        raise unclear(text, "how fast it drives is set in the motion controller")
+
+    def drop(found: re.Match[str]) -> str:
+        clause = re.split(r"[.;!?,]| and | then | but ", text[: found.start()])[-1]
+        return found[0] if BAN.search(clause) else found["verb"] or ""
+
+    return _MANNER.sub(drop, text)
+
+
+def says_manner(text: str) -> bool:
+    """Return True if a text says how fast or how carefully to drive.
+
+    >>> says_manner("Drive slowly to the bed"), says_manner("Find the fast food counter")
+    (True, False)
+    """
+    return _MANNER.search(re.sub(r'"[^"]*"', '"x"', f" {text}")) is not None
 
 
 def refuse_impossible(text: str) -> None:

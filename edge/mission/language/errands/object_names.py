@@ -66,7 +66,8 @@ def modifies(word: str) -> bool:
         return False
     if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
         return False
-    return word.strip("'").isalpha() and nouns.suggest_word(word) is None
+    is_slip = sorted(word) == sorted("the") or nouns.suggest_word(word)  # "teh kitchen"
+    return word.strip("'").isalpha() and not is_slip
 
 
 def relation_text(relation: str | None, anchor: str | None, other: str | None = None) -> str | None:
@@ -92,6 +93,25 @@ def relation_text(relation: str | None, anchor: str | None, other: str | None = 
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
     more = f" and the {bare(other)}" if other else ""
     return f" {relation} {the}{name}{more}"
+
+
+_SURFACES = nouns.split_entries(
+    """desk table sofa couch bed shelf counter countertop worktop bench workbench chair armchair
+    stool nightstand windowsill carpet rug bookshelf bookcase sideboard mantelpiece"""
+)
+_CONTAINERS = nouns.split_entries(
+    """fridge refrigerator freezer drawer cupboard cabinet wardrobe closet box basket bag bin crate
+    locker oven dishwasher"""
+)
+
+
+def searched_text(searched: str) -> str | None:
+    """Return " in the kitchen", " on the desk", " in the drawer" for what is searched; or None."""
+    name = bare(searched)
+    head = names.singular(name.split()[-1])
+    on = head in _SURFACES and not is_room(name)
+    is_known = is_room(name) or ((on or head in _CONTAINERS) and is_name(name))
+    return relation_text("on" if on else "in", searched) if is_known else None
 
 
 def with_article(name: str) -> str:
@@ -123,15 +143,17 @@ def quote_related(found: re.Match[str]) -> str | None:
     is_verb = TABLE.get((words[-1].lower(),)) in ("verb", "do")
     if slots.get("relation") and is_verb and not (articled and len(words) == 2):  # "my watch"
         return None
-    other = slots.get("other") if relation == "between" else None
+    other = slots.get("other")
     where = relation_text(relation, found["anchor"], other)
     within = slots.get("within")  # " in the kitchen": the name begins at the third part
     if where is None or (within and not is_room(bare(within.split(" ", 2)[2]))):
         return None
     where += relation_text("in", within.split(" ", 2)[2]) or "" if within else ""
-    rest = f" and {slots['other']}" if slots.get("other") and not other else ""
-    name = bare(" ".join(words))
-    if slots.get("else"):
+    rest, name = "", bare(" ".join(words))
+    joint = (slots.get("joint") or "or").lower()
+    if joint == "and" and not patterns.LOOKS_FOR.search(found.string[: found.start()]):
+        rest = f" and {slots['again']} {slots['else']}"
+    elif slots.get("else"):
         rest = f" or {slots['else']}"
         if slots["again"] or (is_room(bare(slots["else"])) and is_room(bare(found["anchor"]))):
             rest = f' or "{name}{relation_text(slots["again"] or relation, slots["else"])}"'

@@ -16,7 +16,11 @@ from edge import names
 from edge.mission.language.errands import errand_patterns as patterns
 from edge.mission.language.errands.errand_parts import PARTS
 from edge.mission.language.errands.errand_patterns import CALLER, CHECK, MAX_COUNT, WAIT
-from edge.mission.language.errands.impossible import refuse_impossible, refuse_states
+from edge.mission.language.errands.impossible import (
+    refuse_impossible,
+    refuse_unseen,
+    without_manner,
+)
 from edge.mission.language.errands.object_names import (
     is_name,
     modifies,
@@ -24,6 +28,7 @@ from edge.mission.language.errands.object_names import (
     quote_related,
     refuse_unknown_names,
     relation_text,
+    searched_text,
     with_article,
 )
 from edge.mission.language.errands.tours import (
@@ -77,8 +82,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         hint = "unclear if an order or a permission; say 'go to …', or 'you may go to … again'"
         raise unclear(permits[0], hint)
     marked, known = mark_places(text, places)
-    refuse_states(marked)
-    text = f" {marked}"
+    refuse_unseen(marked)
+    text = without_manner(f" {marked}")
     for pattern, plain in patterns.FIRST_REWRITES:
         text = pattern.sub(plain, text)
     for rule, change in _rules():
@@ -113,6 +118,7 @@ def _rules() -> list[tuple[list[Pattern], Change]]:
         ([patterns.NEAREST], lambda found: f" the {found['object']} nearest to {found['anchor']}"),
         ([patterns.NEAREST_TO_ROBOT], _rewrite_nearest),
         ([patterns.INTRODUCED], _rewrite_introduced),
+        ([patterns.SEARCHED_ROOM], _rewrite_searched_room),
         (patterns.SEARCHES, _rewrite_search),
         ([patterns.ALL_BUT], rewrite_all_but),
         (patterns.PATROLS, rewrite_patrol),
@@ -283,6 +289,11 @@ def _goes_on(found: re.Match[str]) -> bool:
     return re.match(rf" (?:{phrase_of('relation')}|and {ARTICLE})\b", rest, re.I) is not None
 
 
+def _rewrite_searched_room(found: re.Match[str]) -> str | None:
+    """Return "search the kitchen" as the order to explore it."""
+    return f" explore {found['room']}" if is_room(bare(found["room"])) else None
+
+
 def _rewrite_search(found: re.Match[str]) -> str | None:
     """Return "search the kitchen for a mug" as the order to find the mug in the kitchen."""
     slots = found.groupdict()
@@ -294,12 +305,15 @@ def _rewrite_search(found: re.Match[str]) -> str | None:
         return _rewrite_search_in_rooms(slots["stops"], name)
     if room and each_kind(room):
         each, room = room, None  # "search every room for my keys"
-    if (room and not is_room(bare(room))) or is_vague(name):
+    if is_vague(name):
         return None
     if each and each_kind(each) != "room":
         refuse_each(each)
-    where = relation_text("in", room)
-    return None if where is None else f' find "{bare(name)}{where}"'
+    where = relation_text(slots.get("relation"), slots.get("anchor"))
+    where = searched_text(room) if room else where
+    if where is None or (where.startswith(" on") and re.search(r" (?:in|inside) ", found[0])):
+        return None  # "look in the desk for my keys"
+    return f' find "{bare(name)}{where}"'
 
 
 def _rewrite_search_in_rooms(stops: str, name: str) -> str | None:
@@ -329,7 +343,7 @@ def _rewrite_check(found: re.Match[str]) -> str | None:
     if slots.get("into") and not is_room(bare(slots["into"])):
         return None
     if slots.get("room") or slots.get("into"):
-        where = relation_text("in", slots.get("room") or slots["into"])
+        where = searched_text(slots.get("room") or slots["into"])
     else:
         where = relation_text(slots.get("relation"), slots.get("anchor"))
     if slots.get("within"):

@@ -11,9 +11,11 @@ television is reached.'
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from itertools import pairwise, product
 
+from edge import number_words
 from edge.mission.language.grammar.goal_tree import Visit
 from edge.mission.language.words.noun_phrases import Antecedents, NounPhrase, take_noun_phrase
 from edge.mission.language.words.tokens import TokenReader, TranslationError
@@ -106,6 +108,7 @@ def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
 MAX_NODES = 600
 """Largest number of nodes of a formula that is put into words; longer sentences do not help."""
 
+_NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(number_words.SMALL_NUMBERS)})")
 _MAX_DEPTH = 60  # levels of operators in a formula that is put into words
 _SHOWN = 2000  # characters of a formula that is too long for words
 _TIMES = {1: "once", 2: "twice"}
@@ -259,10 +262,15 @@ def _choice_text(options: tuple[str, ...], joint: str = "or") -> str:
     return f"{either}{', '.join(most)} or {last}"
 
 
+def is_numbered(name: str) -> bool:
+    """Return True for a name that ends in a number or a letter, as "room 12" does."""
+    return _NUMBERED.fullmatch(name) is not None
+
+
 @lru_cache(maxsize=4096)
 def _name_text(name: str) -> str:
     """Return `the bed`, `a` (a letter), or the name in quotes if it could be misread."""
-    spoken = name if len(name) == 1 else f"the {name}"
+    spoken = name if len(name) == 1 or is_numbered(name) else f"the {name}"
     try:
         reader = TokenReader(spoken)
         if take_noun_phrase(reader, Antecedents()) == NounPhrase(((name,),)) and reader.is_at(

@@ -170,6 +170,9 @@ def _check_words(reader: TokenReader, words: list[Token]) -> None:
         reader.refuse(f"{one_line(texts[wrong], 40)}: {close}?", words[wrong])
     if reader.is_at("article", "pronoun"):
         reader.refuse("unknown verb", words[0])
+    others = ((text, nouns.suggest_word(text)) for text in texts)
+    if slip := next((f"{one_line(text, 40)}: {near}?" for text, near in others if near), ""):
+        reader.refuse(slip, words[0])
     whole = one_line(" ".join(texts), 40)
     if wrong:
         last = one_line(texts[wrong - 1], 20)

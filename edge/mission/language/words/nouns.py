@@ -54,7 +54,7 @@ _OBJECTS = """
     toothbrush toy tractor traffic|light trailer train tray tree tricycle trolley truck typewriter
     vehicle van vent vending|machine violin walker wallet watch water|cooler water|dispenser
     whiteboard blackboard wheel wheelchair wine wire workbench zebra elephant bear till
-    charging|station charger dock docking|station
+    charging|station charger dock docking|station loading|dock
 """
 _EVERYDAY = """
     alarm album ambulance anvil apron armrest axe backpack badge bagpipe balance|bike ball balloon
@@ -106,8 +106,9 @@ _EVERYDAY = """
     power|drill power|strip pram prescription present presents pressure|cooker princess|dress
     printer|paper projector prop pulley pulse|oximeter pump puncher puppet puppy purifier pushchair
     puzzle|box puzzle|piece pyjamas quilt race|car racquet radio|set raft raincoat rake ramp
-    raspberry rattle razor reach|truck reading|glasses reading|lamp receipt record|player
-    recycling|bin reel remote|control ribbon rifle robe rocket rocking|chair rocking|horse roller
+    raspberry rattle razor reach|truck reading|glasses reading|lamp receipt reception|desk
+    record|player recycling|bin reel remote|control ribbon rifle robe rocket rocking|chair
+    rocking|horse roller
     roller|skates rolling|pin rubber|duck ruler sack saddle safety|cone safety|glasses safety|helmet
     safety|vest safe|box salad sandal sandals sandbox sandpaper satchel sauce saucepan saucer
     sausage saxophone scalpel scanner scarf schoolbag school|bag scoop scratching|post scrubber

@@ -8,6 +8,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+from edge.mission.language.words import nouns
+
 START = "start"
 """Name of the first pose of the service."""
 HERE = "here"
@@ -19,6 +21,11 @@ EVERY = "every"
 NO = "no "
 """Beginning of the proposition that another target failed: "no mug" for "mug"."""
 _FIRST_MARK = 0xF000  # placeholders are from Unicode's private-use area
+# The number of "shelf 12", which is another place than the shelf, but not that of "shelf 12 times".
+_NUMBER = (
+    r"\s+(?:number\s+)?\d+[a-z]?(?=[,;!?]|\.(?!\d)|$|"
+    r"\s+(?:and|or|then|but|first|for|in|on|at|near|next|before|after|until|once|twice)\b)"
+)
 
 
 def quote_places(instruction: str, names: Iterable[str]) -> str:
@@ -44,10 +51,19 @@ def mark_places(instruction: str, names: Iterable[str]) -> tuple[str, list[str]]
         return instruction, []
     # One group for each name: its number is that of the name.
     any_name = "|".join("(" + r"\s+".join(map(re.escape, name.split())) + ")" for name in known)
-    named = re.compile(rf"\b(?:(?:the|my|our|your)\s+)?(?:{any_name})(?![\w'-])", re.I)
+    named = re.compile(
+        rf"\b(?:(?:the|my|our|your)\s+)?(?:{any_name})(?![\w'-])(?!{_NUMBER})"
+        r"(?=(?:\s+(?P<next>[\w'-]+))?)",
+        re.I,
+    )
 
     def mark(found: re.Match[str]) -> str:
-        return chr(_FIRST_MARK + (found.lastindex or 1) - 1)
+        at = next(at for at, name in enumerate(found.groups()) if name)
+        before = re.search(r"[\w'-]+ $", found.string[: found.start(at + 1)])
+        longer = f"{before[0]}{known[at]}".lower() if before else ""
+        if nouns.is_noun(f"{known[at]} {found['next']}".lower()) or longer in nouns.NOUNS:
+            return found[0]  # "the reception desk" and "the loading dock" are one object
+        return chr(_FIRST_MARK + at)
 
     pieces = re.split(r'("[^"]*")', instruction)
     pieces[::2] = [named.sub(mark, piece) for piece in pieces[::2]]

@@ -81,8 +81,8 @@ PARTS = {
         """,
     "while": """
         [, [and|so] (not ever|for (now|today|me|us|good|ever|always)|(it|starting|from) today|
-        if you do not mind|from now on|anymore|any more|again|ever|at all|now|always|today|
-        at the moment|no matter what|any longer|okay|alone|under any circumstances|
+        if you do not mind|at all costs|from now on|anymore|any more|again|ever|at all|now|always|
+        today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
         until (further notice|tomorrow|tonight|later)|forever [and ever]|[until|while|because|since|
         as|as long as] (i|we|he|she|they|it|there|people|someone|somebody|my (mother|father|husband|
         wife|baby|son|daughter|friend)|(the|a) (baby|patient|kid|kids|children|cleaner|doctor|floor|
@@ -133,7 +133,7 @@ QUESTIONS = {
     """,
     "doing": """
         what are you (doing|up to|working on|looking for|searching for|waiting for) {now}
-        what is your [current] (mission|task|job|errand|goal|target|status)
+        what is your [current] (mission|task|job|errand|goal|target|status|plan)
         {tell} what you are (doing|up to|looking for) {now}
         {tell} [me] [about] (your|the) [current] (mission|task|status|progress)
         [{tell}] how (is it|are you) (going|getting on|doing|coming along) [with ...]
@@ -185,7 +185,7 @@ QUESTIONS = {
         {tell} (which|what) (room|rooms) (has|have) <object> [in (it|them)] {last}
         {tell} where did <object> (go|end up|get to|go to)
         {tell} (which|what) (room|aisle|bay|ward|cupboard|drawer) <object> (is|are) in
-        {tell} when {you} {seen} <object> {last}
+        {tell} (when|how long ago) {you} {seen} <object> {last}
         {tell} [in] (which|what) room {you} {seen} <object> [in] {last}
         (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|
             misplaced|am looking for|are looking for|miss) <object> , (where (is|are) (it|they)|
@@ -236,6 +236,7 @@ ORDERS = {
     "keep_out": """
         [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
+        [you|must|should|have to]* (skip|leave out) <room> {while}
         {not} {go} <room> {while}
         [to|for] you is (forbidden|prohibited|not allowed) <room> {while}
         no (robots|robot|entry|access|going) [in|into|to|inside|for robots]* <room> {while}
@@ -293,6 +294,9 @@ ORDERS = {
     """,
     "stated": """
         {here} (is|will be|shall be) [now|from now on] <name>
+    """,
+    "moved": """
+        <name> (is|will be|shall be) [now|from now on] [in|at] {here}
     """,
 }
 """`do` of `SiteOrder` → its templates."""
