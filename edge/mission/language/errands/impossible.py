@@ -35,9 +35,19 @@ _CANNOT = (
     (rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b", "the robot answers here in text, and does no more"),
     (rf"\b{phrase_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
     (
-        rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
-        "the robot knows no times of day; say what to do now",
+        rf"\b{phrase_of('date')}\b",
+        "the robot knows no dates or weekdays; say a time of day, as in 'at 9 am'",
     ),
+    (
+        rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
+        "to give a time of day, say for example 'at 9 am, go …' or 'every day at 9 am, go …'",
+    ),
+    (
+        r"\b(?:until|by|before|after|around) \d\d?(?::\d\d)? ?[ap]m\b"
+        r"|\bfrom \d\d?(?::\d\d)?(?: ?[ap]m)? (?:to|until) \d\d?(?::\d\d| ?[ap]m|(?=[ .,!?]|$))",
+        "the robot can begin at a time of day, or wait until then; say for example 'at 9 am, go …'",
+    ),
+    (r"\b(?:every|each) hour\b", "say what to do then, as in 'every hour, go to the dock'"),
 )
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
