@@ -44,7 +44,7 @@ class MissionState:
         elapsed_s: time that counts towards the time limit.
         path_m: path that counts towards the path limit.
         id: see `edge.mission.run.MissionRun`.
-        exempt_s: see `edge.mission.meter.MissionMeter`, like `exempt_m` and `pursued_s`.
+        exempt_s: see `edge.mission.meter.MissionMeter`, like `exempt_m`, `pursued_s` and `ends_ns`.
         results: see `edge.mission.run.MissionRun`.
         task: True for a task (`edge.tasks`). Its `trace` has one `NOTHING` for each driven step.
     """
@@ -80,6 +80,7 @@ class MissionState:
     results: tuple[str, ...] = ()
     pursued_s: dict[ShortText, NotNegative] = field(default_factory=dict)
     lost: Names = ()
+    ends_ns: dict[ShortText, Annotated[int, Field(ge=0, lt=1 << 63)]] = field(default_factory=dict)
 
 
 TRANSLATION_ATTRIBUTES = (
@@ -104,7 +105,8 @@ def state_of(mission: MissionRun, phase: str) -> MissionState:
         **{name: getattr(mission, name) for name in _RUN_ATTRIBUTES},
         **{name: getattr(mission.meter, name) for name in _METER_ATTRIBUTES},
         trace=mission.progress.trace, round=mission.progress.round,
-        pursued_s=dict(mission.meter.pursued_s), reached=mission.sets.reached,
+        pursued_s=dict(mission.meter.pursued_s), ends_ns=dict(mission.meter.ends_ns),
+        reached=mission.sets.reached,
     )  # fmt: skip
 
 
@@ -117,7 +119,7 @@ def restore(mission: MissionRun, saved: MissionState) -> None:
     mission.id, mission.results, mission.paused = saved.id, saved.results, saved.paused
     for name in _METER_ATTRIBUTES:
         setattr(mission.meter, name, getattr(saved, name))
-    mission.meter.pursued_s = dict(saved.pursued_s)
+    mission.meter.pursued_s, mission.meter.ends_ns = dict(saved.pursued_s), dict(saved.ends_ns)
 
 
 def _check(state: MissionState) -> None:

@@ -31,7 +31,8 @@ LONGEST_S = 24 * 3600.0
 _UNITS_S = {"s": 1, "sec": 1, "second": 1, "min": 60, "minute": 60, "h": 3600, "hour": 3600}
 DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
 """Pattern of a text for `duration_s`."""
-_WAIT = re.compile(rf"wait(?: (?:for )?(?P<time>{DURATION}))?")
+_TIME_OF_DAY = r"(?:[01]\d|2[0-3]):[0-5]\d"  # "09:00"
+_WAIT = re.compile(rf"wait(?: until (?P<until>{_TIME_OF_DAY})| (?:for )?(?P<time>{DURATION}))?")
 _EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{DURATION}))?")
 _CANNOT_FAIL = re.compile(rf"{HERE}$|wait\b|{NO}")  # after NO
 _CHECK = re.compile(r"check (?:the )?(?P<name>.+?)(?: in (?:the )?(?P<room>.+))?")
@@ -41,6 +42,7 @@ _ROOM_WITH = re.compile(r"room with (?:(?:the|a|an) )?(?P<name>.+)")
 
 Name = Annotated[str, Field(max_length=1000)]
 Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]
+TimeOfDay = Annotated[str, Field(pattern=f"^{_TIME_OF_DAY}$")]
 
 
 class DestinationError(UserError):
@@ -85,11 +87,25 @@ class WaitTarget(_Strict):
     """A wait at the robot's position.
 
     Attributes:
-        seconds: duration; None: wait until a person orders to go on.
+        seconds: duration; None: wait until a person orders to go on, or until `until`.
+        until: time of day as "09:00", in the local time of the robot's computer; not with
+            `seconds`.
     """
 
     seconds: Seconds | None = None
+    until: TimeOfDay | None = None
     kind: Literal["wait"] = "wait"
+
+    def __post_init__(self) -> None:
+        if self.seconds is not None and self.until is not None:
+            raise ValueError("a wait has a duration or a time of day, not both")
+
+    @property
+    def shown(self) -> str:
+        """Its end after the word "wait": "10 min", "until 09:00"."""
+        if self.until is not None:
+            return f"until {self.until}"
+        return "until told to go on" if self.seconds is None else shown_s(self.seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,21 +194,23 @@ def destination_of(text: str, site: Site) -> Destination | None:
     """Return the destination that a proposition means, or None if it is an object to search for.
 
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
-    `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
-    `check kettle in kitchen`, the names of rooms and their kinds, `room 3`, `largest room`,
-    `next room`, `room with sofa`, `every room`, `every bedroom` and `every chair in kitchen`. A
-    place of the site comes before a phrase, and a room's name before a kind. A kind of room that
-    the robot cannot recognise is an object, unless a person gave a room that name.
+    `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `wait until 09:00`,
+    `check stove`, `check kettle in kitchen`, the names of rooms and their kinds, `room 3`,
+    `largest room`, `next room`, `room with sofa`, `every room`, `every bedroom` and
+    `every chair in kitchen`. A place of the site comes before a phrase, and a room's name before a
+    kind. A kind of room that the robot cannot recognise is an object, unless a person gave a room
+    that name.
 
     Raises:
-        DestinationError: a duration is no number or too long, or the caller's pose is not known.
+        DestinationError: a duration is no number or too long, a time of day is none, or the
+            caller's pose is not known.
         RelationError: see `parse_description`.
 
     Example:
         >>> destination_of("sofa", Site()) is None
         True
-        >>> destination_of("wait 2 min", Site())
-        WaitTarget(seconds=120.0, kind='wait')
+        >>> [destination_of(text, Site()).shown for text in ("wait 2 min", "wait until 09:00")]
+        ['2 min', 'until 09:00']
     """
     place = site.place(text)
     if place is not None:
@@ -206,7 +224,12 @@ def destination_of(text: str, site: Site) -> Destination | None:
             "send from_pose: [x_m, y_m, yaw_rad] with it"
         )
     if found := _WAIT.fullmatch(text):
-        return WaitTarget(found["time"] and duration_s(found["time"]))
+        return WaitTarget(found["time"] and duration_s(found["time"]), found["until"])
+    if text.startswith("wait until "):
+        raise DestinationError(
+            f"{one_line(text, 60)}: expected a time of day from 00:00 to 23:59, as in "
+            '"wait until 09:00"'
+        )
     if found := _EXPLORE.fullmatch(text):
         room = _room_name_of(found["room"], site)
         return ExploreTarget(room, found["time"] and duration_s(found["time"]))
@@ -300,8 +323,8 @@ def describe_destination(name: str, destination: Destination) -> str:
         time = "" if destination.limit_s is None else f" for {shown_s(destination.limit_s)}"
         return f"the end of exploring{room}{time}"
     if isinstance(destination, WaitTarget):
-        until = destination.seconds
-        return "the end of a wait" + (" until told" if until is None else f" of {shown_s(until)}")
+        of = " of" if destination.seconds is not None else ""
+        return f"the end of a wait{of} {destination.shown.removesuffix(' to go on')}"
     if isinstance(destination, CheckTarget):
         room = f" in the {destination.room}" if destination.room else ""
         return f"an answer about the {destination.name}{room}"

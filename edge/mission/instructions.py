@@ -124,13 +124,29 @@ def translate(
 
 
 def _with_period(order: Translation, period: Period, speech: TidySpeech, text: str) -> Translation:
-    """Return an order that is repeated, with a wait at the end of each round."""
+    """Return an order that is repeated, with a wait at one end of each round.
+
+    A wait until a time of day is at the begin.
+    """
     if order.repeat not in (None, Repetition()):
-        raise unclear(text, "unclear what is repeated how often; say only the time between rounds")
+        hint = (
+            "leave out the number or time of rounds"
+            if period.until
+            else ("say only the time between rounds")
+        )
+        raise unclear(text, f"unclear what is repeated how often; {hint}")
+    is_timed = any(name.startswith(f"{WAIT} until ") for name in ltl.propositions(order.formula))
+    if is_timed and not period.until:
+        raise unclear(
+            text, "unclear how often; say a time of day or a time between rounds, not both"
+        )
     goals, bans = split_bans(order.formula)
-    wait = f"{WAIT} {shown_s(period.wait_s)}"
+    end = f"until {period.until}" if period.until else shown_s(period.wait_s)
+    wait = ltl.eventually(ltl.ap(f"{WAIT} {end}"))
     try:
-        round_of_goals = then(*goals, ltl.eventually(ltl.ap(wait)))
+        round_of_goals = then(*goals, wait)  # also checks that it is a sequence
+        if period.until:
+            round_of_goals = then(wait, *goals)
     except NotASequenceError:
         raise unclear(text, "expected orders in a sequence, to repeat them") from None
     assert round_of_goals is not None  # it has the wait

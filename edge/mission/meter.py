@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from edge.geometry import SE2
+from edge.mission.time_of_day import next_ns
 
 # A longer or faster step of the pose between two calls is no driving.
 _JUMP_M, _JUMP_MPS = 1.0, 4.0
+_LONGEST_DAY_NS = 25 * 3_600_000_000_000  # the day of the change back from summer time
 
 
 class MissionMeter:
@@ -18,12 +20,14 @@ class MissionMeter:
         exempt_m: the same for `path_m`.
         pursued_s: for each target, the time for which it was pursued since it was last reached,
             failed or seen again.
+        ends_ns: for each wait until a time of day, the loop time at which it ends.
     """
 
     def __init__(self) -> None:
         self.elapsed_s = self.path_m = 0.0
         self.exempt_s = self.exempt_m = 0.0
         self.pursued_s: dict[str, float] = {}
+        self.ends_ns: dict[str, int] = {}
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
 
@@ -68,7 +72,25 @@ class MissionMeter:
         if searching:
             self.pursued_s[target] = self.pursued_s.get(target, 0.0) + passed_s
 
+    def end_of_wait_ns(self, target: str, time_of_day: str, now_ns: int) -> int:
+        """Return the loop time at which a wait ends that began with the first call.
+
+        It stays the same over pauses and restarts. So a wait whose time passed while the service
+        was off ends at once.
+        """
+        ends_ns = self.ends_ns.get(target)
+        # A later end is of another clock, for example of a simulation that began again.
+        if ends_ns is None or ends_ns - now_ns > _LONGEST_DAY_NS:
+            ends_ns = self.ends_ns[target] = next_ns(time_of_day, now_ns)
+        return ends_ns
+
+    def end_pursuit(self, target: str) -> None:
+        """Forget the time of a target that was reached or given up."""
+        self.pursued_s[target] = 0.0
+        self.ends_ns.pop(target, None)
+
     def begin_round(self) -> None:
         """Exempt all time and path so far, and begin each search again."""
         self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
         self.pursued_s.clear()
+        self.ends_ns.clear()

@@ -136,8 +136,7 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         time = "" if destination.limit_s is None else f" for {shown_s(destination.limit_s)}"
         return f"explore {f'the {destination.room}' if destination.room else 'everything'}{time}"
     if isinstance(destination, WaitTarget):
-        seconds = destination.seconds
-        return "wait until told to go on" if seconds is None else f"wait {shown_s(seconds)}"
+        return f"wait {destination.shown}"
     if isinstance(destination, CheckTarget):
         checked = re.sub("^check (the )?", "", name)
         return f"check if there is a{'n' * (checked[0] in 'aeiou')} {checked}"

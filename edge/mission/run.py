@@ -224,7 +224,7 @@ class MissionRun:
             self.results = (*self.results, one_line(result, _RESULT_CHARS))[-_MOST_RESULTS:]
         self.progress.advance(label)
         self.sets.add_reached(label)
-        self.meter.pursued_s[label] = 0.0
+        self.meter.end_pursuit(label)
         self.log_event(now_ns, "reached", label, f"reached: {label} ({evidence})")
         self._accept(evidence, now_ns)
         self.replan(now_ns, retarget=True)
@@ -245,7 +245,7 @@ class MissionRun:
         """Add the active target to B because it could not be reached, and plan again."""
         label = self.target
         self.sets.add_failed(label, reason)
-        self.meter.pursued_s[label] = 0.0
+        self.meter.end_pursuit(label)
         self.log_event(now_ns, "failed", label, f"failed: {label} ({reason})")
         self.replan(now_ns, retarget=True)
 

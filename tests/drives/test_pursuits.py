@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,28 @@ def test_the_robot_waits_for_the_given_time_without_moving(tmp_path):
     assert loop.service.status.reason == "waited 3 s"
     assert loop.seconds < 5
     assert not [goal for goal in loop.notes.goals if goal.kind != "spin"]
+
+
+def test_the_robot_waits_until_a_time_of_day_in_each_round(tmp_path):
+    loop = loop_of(tmp_path, "F start", time_limit_s=2.0)
+    begin_ns = loop.drive.motion.stamp_ns
+    soon = datetime.fromtimestamp(begin_ns // S) + timedelta(minutes=1)
+    spec = prepare(
+        loop.service.config.mission, formula=f'F ("wait until {soon:%H:%M}" & F start)',
+        repeat=Repetition(),
+    )  # fmt: skip
+    loop.service.begin(spec, begin_ns)
+    steps(loop, 1.0)
+    text = rf"round 1; waiting until {soon:%H:%M}, (1 min|\d\d? s) left"
+    assert re.fullmatch(text, loop.service.status.reason)
+    ends_s = int(soon.replace(second=0).timestamp())
+    while loop.service.mission.progress.round == 1:
+        loop.step()
+    now_s = loop.drive.motion.stamp_ns * 1e-9
+    assert ends_s <= now_s < ends_s + 5
+    steps(loop, 1.0)
+    text = rf"round 2; waiting until {soon:%H:%M}, (23 h 5\d min|24 h) left"
+    assert re.fullmatch(text, loop.service.status.reason)
 
 
 def test_a_wait_without_a_time_ends_on_request(tmp_path):

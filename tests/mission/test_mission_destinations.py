@@ -43,6 +43,8 @@ SITE = Site((Place("dock", DOCK), Place("wait 5 s", DOCK)))
         ("wait for two minutes", WaitTarget(120.0)),
         ("wait 1.5 min", WaitTarget(90.0)),
         ("wait 5 s", PlaceTarget(DOCK)),
+        ("wait until 09:00", WaitTarget(until="09:00")),
+        ("Wait_until_23:59", WaitTarget(until="23:59")),
         ("explored", ExploreTarget()),
         ("explored living room", ExploreTarget("living room")),
         ("explored for 10 min", ExploreTarget("", 600.0)),
@@ -67,6 +69,8 @@ def test_the_text_decides(text, meant):
     [
         ("wait 0 s", "^0 s: expected a time above 0 s"),
         ("wait 25 hours", "up to 24 h"),
+        ("wait until 24:00", "^wait until 24:00: expected a time of day from 00:00 to 23:59"),
+        ("wait until 9:00", 'as in "wait until 09:00"'),
         ("explored for some min", "^some min: expected a time"),
         ("explored map", "map: no room has this name, .*; give a room this name first"),
         ("every chair 2 of 3", "say 'every' or a number, not both"),
@@ -80,6 +84,12 @@ def test_an_impossible_destination_is_refused(text, message):
         destination_of(text, SITE)
 
 
+@pytest.mark.parametrize("wait", [{"until": "9:00"}, {"until": "09:00", "seconds": 5.0}])
+def test_json_has_one_end_of_a_wait(wait):
+    with pytest.raises(ValueError, match=r"until|not both"):
+        destinations_of_json({"a": {"kind": "wait", **wait}})
+
+
 def test_the_caller_is_at_the_requested_pose():
     assert destination_of("caller", with_caller(SITE, DOCK)) == PlaceTarget(DOCK)
     assert with_caller(SITE, None) is SITE
@@ -91,6 +101,7 @@ destinations = st.one_of(
     st.builds(PlaceTarget, st.none() | st.builds(SE2, numbers, numbers, numbers)),
     st.builds(ExploreTarget, st.text(max_size=20), seconds),
     st.builds(WaitTarget, seconds),
+    st.builds(WaitTarget, st.none(), st.sampled_from(["00:00", "09:30", "23:59"])),
     st.builds(CheckTarget, st.text(max_size=20)),
     st.builds(EveryRoomTarget, st.text(max_size=20)),
     st.builds(EveryObjectTarget, st.text(max_size=20), st.text(max_size=20)),

@@ -60,6 +60,28 @@ def test_an_order_with_a_period_repeats_with_a_wait(instruction, formula, limit_
 
 
 @pytest.mark.parametrize(
+    ("instruction", "formula"),
+    [
+        ("every day at 8 am, go to the bed", 'F ("wait until 08:00" & F bed)'),
+        ("Go to the bed every day at 8 am, please.", 'F ("wait until 08:00" & F bed)'),
+        ("every morning, go to the bed at 8", 'F ("wait until 08:00" & F bed)'),
+        ("every morning at 8 go to the bed, then to the sofa, but avoid the bathroom",
+         'F ("wait until 08:00" & F (bed & F sofa)) & G !bathroom'),
+        ("patrol the house every night at ten until I tell you to stop",
+         'F ("wait until 22:00" & F "every room")'),
+        ("daily at 22:00 patrol the dock and the bed",
+         'F ("wait until 22:00" & F (dock & F bed))'),
+        ("every day at 8 am go to the bed and wait there until noon, then come back",
+         'F ("wait until 08:00" & F (bed & F ("wait until 12:00" & F here)))'),
+    ],
+)  # fmt: skip
+def test_an_order_of_each_day_repeats_after_a_wait(instruction, formula):
+    translation = prepare(CONFIG, instruction, site=SITE).translation
+    assert str(translation.formula) == formula
+    assert (translation.repeat, translation.instruction) == (Repetition(), instruction)
+
+
+@pytest.mark.parametrize(
     ("instruction", "reason"),
     [
         ("go to the bed, then to the sofa every 5 minutes", "begin with it: 'every 5 minutes, go"),
@@ -74,7 +96,19 @@ def test_an_order_with_a_period_repeats_with_a_wait(instruction, formula, limit_
         ("tell me what you see every 10 minutes", "only an order to drive"),
         ("don't check the stove every 10 minutes", "only an order to drive"),
         ("pause every hour", "only an order to drive"),
-        ("every hour", "no times of day"),
+        ("every hour", "say what to do then"),
+        ("go to the bed every day at 8 am for 2 hours", "a day has one round"),
+        ("every day at 8 am and 5 pm go to the bed", "give one time"),
+        ("patrol the house for an hour every night at ten", "leave out the number or time"),
+        (
+            "go to the bed, then to the sofa every day at 8 am",
+            "begin with it: 'every day at 8:00 am, go",
+        ),
+        ("go to the bed at 9 am every 10 minutes", "a time of day or a time between rounds"),
+        (
+            "every day at 8 am, look for the mug, and if it is not there, come back",
+            "expected orders in a sequence",
+        ),
         ("every 10 minutes go to the bed for 2 hours", "say 'every 10 minutes for 2 hours, …'"),
     ],
 )

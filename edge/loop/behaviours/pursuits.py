@@ -258,15 +258,20 @@ class WaitPursuit(Pursuit[WaitTarget]):
         return ()
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
-        mission, seconds = self._mission, self._destination.seconds
+        mission, wait, now_ns = self._mission, self._destination, context.now_ns
         self._goals.phase = "waiting"
-        if seconds is None:
-            mission.activity = "waiting until told to go on"
+        if wait.until is not None:
+            ends_ns = mission.meter.end_of_wait_ns(mission.target, wait.until, now_ns)
+            left_s = (ends_ns - now_ns) * 1e-9
+            mission.activity = f"waiting {wait.shown}, {_long_time_left(left_s)}"
+        elif wait.seconds is not None:
+            left_s = wait.seconds - mission.pursued_now_s
+            mission.activity = f"waiting, {time_left(left_s)}"
+        else:
+            mission.activity = f"waiting {wait.shown}"
             return
-        left_s = seconds - mission.pursued_now_s
-        mission.activity = f"waiting, {time_left(left_s)}"
         if left_s <= 0:
-            mission.on_reached(f"waited {shown_s(seconds)}", context.now_ns)
+            mission.on_reached(f"waited {wait.shown}", now_ns)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         self._goals.idle()
@@ -360,6 +365,15 @@ class CheckPursuit(Pursuit[CheckTarget]):
 def time_left(left_s: float) -> str:
     """Return a time as text: "5 min left"."""
     return f"{shown_s(math.ceil(max(0.0, left_s)))} left"
+
+
+def _long_time_left(left_s: float) -> str:
+    """Return a time of up to a day as text: "3 h 20 min left", "45 s left"."""
+    if left_s <= 60:
+        return time_left(left_s)
+    hours, minutes = divmod(math.ceil(left_s / 60), 60)
+    shown = (f"{hours} h" * (hours > 0), f"{minutes} min" * (minutes > 0))
+    return f"{' '.join(filter(None, shown))} left"
 
 
 def objects_found(semantic_map: SemanticMap, room: MappedRoom | None = None) -> str:

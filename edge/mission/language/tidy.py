@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from edge import number_words
 from edge.mission.language.remarks import SUBORDINATE, is_remark
+from edge.mission.language.words.clock_times import write_times
 from edge.mission.language.words.everyday_words import ARTICLE, NAME, phrase_of
 from edge.mission.language.words.lexicon import TABLE
 from edge.mission.language.words.spans import number_of
@@ -137,6 +138,7 @@ def tidy_up(utterance: str) -> TidySpeech:
 
     text = " ".join(_join_list(_QUOTED.sub(hide, utterance.translate(STRAIGHT))).split())
     text = _APOSTROPHE_IS.sub(" is ", WORD.sub(_expand, text))
+    text = write_times(text)
     text = " ".join(_HESITATION.sub(_keep_if_it_corrects, text).split())
     text = _ADDRESS.sub(",", text)
     text = _PLEASE.sub(_comma_if_within, text).strip() or text

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 
+from edge.mission.language.errands.timed_orders import lasts_before
 from edge.mission.language.words.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
@@ -152,6 +153,10 @@ WAITS = """
     {then} {hold} [for] <span> {where} <object>
     {then} {hold} {there} [for] <span> [there|here]
     {then} {hold} {where} <object> [for] <span>
+    {then} {hold} {where} <object> until <clock>
+    {then} {hold} {there} until <clock> [{where} <object>]
+    {then} {hold} (next to|by|near|at|beside|with|in front of) (it|them|him|her) until <clock>
+    {then} go to <object> [and (stay|remain|wait) [there]] until <clock>
     {then} wait [for (me|us)] {where} <object>
     {then} (stay|remain) [for (me|us)] (at|by|near|next to|in front of) <object> [{until_told}]
     {then} (wait|stay|remain|stand by) [put] (there|here|in there) [for me|{until_told}]
@@ -288,17 +293,13 @@ def _wait_first(found: re.Match[str]) -> str:
     """
     if not found["joint"]:
         return f" wait {found['span']}, then"
-    before = re.split(r"[.;!?,]| and | then ", found.string[: found.start()])[-1]
-    return found[0] if _LASTS.search(before) else f", then wait {found['span']}, then"
+    return found[0] if lasts_before(found) else f", then wait {found['span']}, then"
 
 
 def _rounds(count: str | None) -> str:
     return f", {count} rounds" if count and count != "a" else ""
 
 
-_LASTS = re.compile(
-    r"\b(?:wait|stay|remain|stand|stop|explore|look|search|find|patrol|guard|tour|map|scan)\b", re.I
-)
 FIRST_REWRITES = (
     # "in ten minutes, go to the hall, and after one minute come back"
     (re.compile(rf"(?P<joint>^|,? and(?: then)?|,? then|[,;.])(?P<when> after|(?<=^) in)"

@@ -57,9 +57,19 @@ _CANNOT = (
         "this starts or ends no program; to stop the robot, say 'stop'",
     ),
     (
-        rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
-        "the robot knows no times of day; say what to do now",
+        rf"\b{phrase_of('date')}\b",
+        "the robot knows no dates or weekdays; say a time of day, as in 'at 9 am'",
     ),
+    (
+        rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
+        "to give a time of day, say for example 'at 9 am, go …' or 'every day at 9 am, go …'",
+    ),
+    (
+        r"\b(?:until|by|before|after|around) \d\d?(?::\d\d)? ?[ap]m\b"
+        r"|\bfrom \d\d?(?::\d\d)?(?: ?[ap]m)? (?:to|until) \d\d?(?::\d\d| ?[ap]m|(?=[ .,!?]|$))",
+        "the robot can begin at a time of day, or wait until then; say for example 'at 9 am, go …'",
+    ),
+    (r"\b(?:every|each) hour\b", "say what to do then, as in 'every hour, go to the dock'"),
 )
 _HOW = r"(?: (?:a (?:little|bit)|very|really|so|quite|rather|as|much|more|super))*"
 _SPEEDS = (

@@ -6,13 +6,15 @@ import re
 from typing import NamedTuple
 
 from edge.mission.language.words import nouns
+from edge.mission.language.words.clock_times import CLOCK, time_of_day
 from edge.mission.language.words.everyday_words import ARTICLE, MARK, is_room
 from edge.mission.language.words.spans import DURATION, seconds_of
 from edge.mission.language.words.tokens import unclear
 
 _PERIOD = (
     rf"(?:(?:once |again )?every (?P<span>{DURATION}|(?:other )?(?:hour|minute)\b)(?: or so)?|"
-    r"(?P<hourly>hourly|(?:once )?(?:each|per|every) hour|once an hour)\b)"
+    r"(?P<hourly>hourly|(?:once )?(?:each|per|every) hour|once an hour)\b|"
+    rf"every day at (?P<clock>{CLOCK}))"
 )
 _LIMIT = rf",? for (?P<limit>{DURATION})"
 _ENDLESS = r",? (?:forever|until (?:told|(?:i|we) (?:tell you|say))(?: to stop| stop| so)?)"
@@ -45,6 +47,7 @@ class Period(NamedTuple):
     order: str
     wait_s: float  # from the end of one round to the start of the next
     limit_s: float | None = None  # time after which all ends; None: no end
+    until: str = ""  # time of day at which each round starts, as "09:00", in place of `wait_s`
 
 
 def split_period(instruction: str) -> Period | None:
@@ -58,15 +61,16 @@ def split_period(instruction: str) -> Period | None:
             comma before it, or "do this", means all orders of the sentence.
 
     >>> split_period("patrol the house every half hour for 8 hours")
-    Period(order='patrol the house', wait_s=1800.0, limit_s=28800.0)
+    Period(order='patrol the house', wait_s=1800.0, limit_s=28800.0, until='')
     >>> split_period("Every other hour, check the stove"), split_period("visit every room")
-    (Period(order='check the stove', wait_s=7200.0, limit_s=None), None)
+    (Period(order='check the stove', wait_s=7200.0, limit_s=None, until=''), None)
     """
     found = _FIRST.fullmatch(instruction) or _LAST.fullmatch(instruction)
     if found is None:
         return None
-    span = "one hour" if found["hourly"] else found["span"].lower()
+    span = "one hour" if found["hourly"] else (found["span"] or "24 hours").lower()
     said = "every hour" if found["hourly"] else f"every {span}"
+    said = f"every day at {found['clock']}" if found["clock"] else said
     order, ban = found["order"], found.groupdict().get("ban") or ""
     if _DENIED.match(order):
         raise unclear(said, "only an order to drive can be repeated after a time")
@@ -74,7 +78,7 @@ def split_period(instruction: str) -> Period | None:
         raise unclear(said, "unclear which orders it repeats; say them in one sentence")
     is_set_off = instruction[found.end("order") :].startswith(",") or _AGAIN.search(order)
     order = _AGAIN.sub("", order)
-    has_several = re.search(r"[.;]\s*\w", order) if is_set_off else _has_several_orders(order)
+    has_several = re.search(r"[.;]\s*\w", order) if is_set_off else has_several_orders(order)
     if found.re is _LAST and has_several:
         raise unclear(said, f"unclear which orders it repeats; begin with it: '{said}, go …'")
     if split_period(order) is not None:
@@ -86,12 +90,15 @@ def split_period(instruction: str) -> Period | None:
     if ends and not _LASTS.search(order) and seconds_of(ends["span"]) >= wait_s:
         raise unclear(ends[0].strip(), f"unclear if the rounds end then; say '{said}{ends[0]}, …'")
     limit_s = seconds_of(found["limit"]) if found["limit"] else None
+    if found["clock"] and (limit_s is not None or re.match(r"(?:and|or)\b", order)):
+        raise unclear(said, "a day has one round; give one time, and not for how long")
     if limit_s is not None and limit_s < wait_s:
         raise unclear(said, "unclear how often, since all ends before the second round")
-    return Period(order + ban, wait_s, limit_s)
+    until = time_of_day(found["clock"]) if found["clock"] else ""
+    return Period(order + ban, wait_s, limit_s, until)
 
 
-def _has_several_orders(order: str) -> bool:
+def has_several_orders(order: str) -> bool:
     """Return True unless each part after the first is only the name of another object or place."""
     for joint in _JOINT.finditer(order):
         word = joint["next"]

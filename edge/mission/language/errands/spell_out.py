@@ -31,6 +31,7 @@ from edge.mission.language.errands.object_names import (
     searched_text,
     with_article,
 )
+from edge.mission.language.errands.timed_orders import put_times_first
 from edge.mission.language.errands.tours import (
     refuse_other_tours,
     rewrite_all_but,
@@ -43,6 +44,7 @@ from edge.mission.language.errands.tours import (
     rewrite_patrol,
 )
 from edge.mission.language.words import nouns
+from edge.mission.language.words.clock_times import time_of_day
 from edge.mission.language.words.everyday_words import (
     ARTICLE,
     NOWHERE,
@@ -83,7 +85,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         raise unclear(permits[0], hint)
     marked, known = mark_places(text, places)
     refuse_unseen(marked)
-    text = without_manner(f" {marked}")
+    text = put_times_first(without_manner(f" {marked}"))
     for pattern, plain in patterns.FIRST_REWRITES:
         text = pattern.sub(plain, text)
     for rule, change in _rules():
@@ -408,7 +410,11 @@ def _rewrite_wait(found: re.Match[str]) -> str | None:
     # "until I say go to the kitchen": the rest may be what is said then
     if " until " in found[0] and re.match(r" (?!and\b|then\b)\w", found.string[found.end() :]):
         return None
-    wait = f"{WAIT} {shown_s(seconds_of(slots['span']))}" if slots.get("span") else WAIT
+    wait, has_end = WAIT, slots.get("span") or slots.get("clock")
+    if has_end:
+        clock = slots.get("clock")
+        end = f"until {time_of_day(clock)}" if clock else shown_s(seconds_of(slots["span"]))
+        wait = f"{WAIT} {end}"
     if slots.get("object"):
         return f'{", then" * bool(found.start())} go to {slots["object"]}, then go to "{wait}"'
-    return go_to(wait, found) if found.start() or slots.get("span") else None
+    return go_to(wait, found) if found.start() or has_end else None

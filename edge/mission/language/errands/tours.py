@@ -142,6 +142,11 @@ def rewrite_patrol(found: re.Match[str]) -> str | None:
             "this cannot go with a patrol of rooms, for some time, without an end or with more "
             f"than {patterns.MAX_ROUNDS} rounds; send the patrol alone"
         )
+        if begin := re.search(r" wait until (?P<clock>\S+ \wm), then$", before):
+            hint = (
+                "say 'every day at …' or 'visit every room': a patrol without an end begins at once"
+            )
+            raise unclear(f"at {begin['clock']}", hint)
         raise unclear(before.strip() or after, hint)
     end = f"{rounds} times" if rounds is not None else "until told"
     end = f"for {shown_s(seconds_of(slots['span']))}" if slots.get("span") else end

@@ -167,10 +167,15 @@ _ROWS: dict[str, str] = {
         (next|other|upper|lower) floor
     """,
     "clock": """
-        at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tomorrow; tonight;
-        (every|each) (hour|day|night|morning|evening); in the (morning|evening|afternoon); (after|
-        before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to); o'clock;
-        oclock; on (monday|tuesday|wednesday|thursday|friday|saturday|sunday); later today
+        at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tonight;
+        (every|each) (day|night|morning|afternoon|evening); in the (morning|evening|afternoon);
+        (after|before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to);
+        o'clock; oclock
+    """,
+    "date": """
+        tomorrow; later today; (on|every|each|next|this) (monday|tuesday|wednesday|thursday|friday|
+        saturday|sunday); on (mondays|tuesdays|wednesdays|thursdays|fridays|saturdays|sundays|
+        weekdays|weekends); (every|each|next) (week|weekend|weekday|month|year)
     """,
 }  # fmt: skip
 

@@ -10,7 +10,8 @@ The modules `intents`, `errands` and `remarks` compile them to regular expressio
   text as a named group. So is each slot that is not in the next list.
 - `<stops>` is a list of names, `<each>` means several rooms, such as "all bedrooms", `<own>` is a
   name with "the" or "my", `<count>` a number, `<often>` once or twice, `<relation>` a word such as
-  "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten minutes".
+  "behind", `<done>` a form such as "mopped", `<span>` a length of time, such as "ten minutes", and
+  `<clock>` a time of day, as `clock_times.write_times` writes it.
 - `{seen}` is another template, by its name in a table of parts.
 - `,` is a comma that may be left out, and `...` is any rest that begins no new order.
 """
@@ -21,6 +22,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
 
+from edge.mission.language.words.clock_times import CLOCK
 from edge.mission.language.words.everyday_words import EACH_ROOM, MARK, NAME, PLAIN_NAME, phrase_of
 from edge.mission.language.words.spans import COUNT, DURATION
 
@@ -30,6 +32,7 @@ STOP = rf"(?:,? (?:and then|and|then|to|or) |, | (?={MARK}|the ))"
 """Regular expression for what separates the names of a list."""
 _SLOTS = {
     "span": DURATION,
+    "clock": CLOCK,
     "count": COUNT,
     "often": r"(?:once|twice|thrice)",
     "relation": phrase_of("relation"),
