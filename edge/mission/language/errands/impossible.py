@@ -103,28 +103,29 @@ _IN_STATE = re.compile(
 )
 
 
-# "the second chair", "the left door"; names of places are marked by now
+# "the left door", "the second bedroom"; names of places are marked by now
 _BY_POSITION = re.compile(
-    rf"\b(?:{ARTICLE}|to|find) (?P<which>{'|'.join(sorted(nouns.ORDINALS))}|\d+(?:st|nd|rd|th)|"
-    rf"(?:left|right)(?:-hand)?|middle|leftmost|rightmost) (?P<object>{PLAIN_NAME})",
+    rf"\b(?:{ARTICLE}|to|find) (?P<which>(?P<number>{'|'.join(sorted(nouns.ORDINALS))}|"
+    rf"\d+(?:st|nd|rd|th))|(?:left|right)(?:-hand)?|middle|leftmost|rightmost) "
+    rf"(?P<object>{PLAIN_NAME})",
     re.I,
 )
 
 
 def refuse_unseen(text: str) -> None:
-    """Refuse an object by what only people see: "a free chair", "the second chair".
+    """Refuse an object by what only people see: "a free chair", "the left chair".
 
     Raises:
-        UnclearError: the text names a state, a number or a side.
+        UnclearError: the text names a state, a side, or a number of a room. Memory numbers objects.
     """
     for found in _BY_POSITION.finditer(text):
         words, which = found["object"].lower().split(), found["which"].lower()
         # The longest known name: "chair" of "the left chair straight away".
         known = next((n for n in range(len(words), 0, -1) if _is_known(words[:n])), 0)
-        is_storey = words[0] in _STOREYS and which not in ("left", "right", "middle", "last")
-        if known and not is_storey and not nouns.is_noun(" ".join((which, *words[:known]))):
-            is_named = is_room(" ".join(words[:known]))
-            hint = "give a room this name first" if is_named else "give its kind, colour or size"
+        name = " ".join(words[:known])
+        is_refused = is_room(name) if found["number"] else known
+        if is_refused and not nouns.is_noun(f"{which} {name}"):
+            hint = "give a room this name first" if is_room(name) else "give its kind or colour"
             part = text[found.start("which") : found.end()]
             raise unclear(part, f"the camera cannot see which one is the {which}; {hint}")
     for found in _IN_STATE.finditer(text):
@@ -133,10 +134,6 @@ def refuse_unseen(text: str) -> None:
             f"instruction: {found[0]!r}: {hint}, or quote the full name if it is a kind of object",
             found[0],
         )
-
-
-_STOREYS = nouns.NUMBERED - {"room", "door"}
-"""Kinds whose members people number: "the second floor" is a name."""
 
 
 def _is_known(words: list[str]) -> bool:
