@@ -51,18 +51,14 @@ class EmbeddingReport(Report):
 def compare(
     reference: np.ndarray, candidate: np.ndarray, others: np.ndarray | None = None
 ) -> EmbeddingReport:
-    """Compare embeddings (n, d) of the same inputs by the original encoder and by a new one.
+    """Compare embeddings (n, d) of the same inputs, n > 0, by the original encoder and a new one.
 
     `others` (m, d) are by the encoder of the other kind. The inputs are ranked by their likeness to
     each of these, as VLFM ranks views by a text.
 
     Raises:
-        ExportError: there are no inputs, or a row has no direction.
+        ExportError: a row has no direction.
     """
-    if not len(reference):
-        raise ExportError(
-            "no pictures or texts to compare the new model with its original on; give some"
-        )
     exact, found = _unit("reference", reference), _unit("candidate", candidate)
     cosines = (exact * found).sum(axis=1)
     agreement = float("nan")

@@ -15,7 +15,6 @@ from onnxruntime import InferenceSession
 from edge.host.files import replace_atomically
 from edge.host.progress import with_progress
 from exporters.calibration import Feed, float_tensors
-from exporters.files import ExportError
 from exporters.onnx_format import check_format, cpu_session
 from exporters.recipes import Recipe, nodes_like
 
@@ -26,11 +25,6 @@ _SMALL = "small?"  # prefix of the outputs of `_range_session`
 
 def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None:
     """Write the float16 model of `fp32` to `out`; see `to_fp16`."""
-    if not feeds:
-        raise ExportError(
-            "fp16: needs images to find the ranges of values; give a folder of images "
-            "(--calibration)"
-        )
     model = onnx.load(fp32)
     with replace_atomically(out) as temporary:
         onnx.save(to_fp16(model, kept_nodes(model, feeds, recipe)), temporary)

@@ -158,14 +158,7 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
     """
     import transformers
 
-    kind = hugging_face.model_type(folder)
-    if kind not in FAMILIES:
-        choices = ", ".join(FAMILIES)
-        raise ExportError(
-            f"{folder}: config.json: model_type {one_line(kind)!r} cannot be exported (choices: "
-            f"{choices})"
-        )
-    family = FAMILIES[kind]
+    family = FAMILIES[hugging_face.model_type(folder)]
     model = hugging_face.load(
         getattr(transformers, f"{family.prefix}ForConditionalGeneration"), folder
     )

@@ -78,10 +78,8 @@ def test_rank_agreement_counts_pairs(reference, candidate, share):
     assert rank_agreement(np.array(reference), np.array(candidate)) == pytest.approx(share)
 
 
-def test_empty_or_invalid_embeddings_cannot_be_compared():
+def test_invalid_embeddings_cannot_be_compared():
     assert np.isnan(rank_agreement(np.ones((1, 3)), np.ones((1, 3))))
-    with pytest.raises(ExportError, match="no pictures or texts to compare"):
-        compare(np.empty((0, 4)), np.empty((0, 4)))
     with pytest.raises(ExportError, match="candidate's embeddings are zero or not finite"):
         compare(np.ones((1, 4)), np.full((1, 4), np.nan))
 

@@ -84,13 +84,6 @@ def test_a_token_id_beyond_float16_leaves_its_embeddings_float16(tmp_path):
     assert elements(half)["table"] == onnx.TensorProto.FLOAT16
 
 
-def test_without_images_there_is_nothing_to_see(tmp_path):
-    fp32 = build(tmp_path / "fp32.onnx")
-    with pytest.raises(ExportError, match="needs images"):
-        write_fp16(fp32, tmp_path / "fp16.onnx", [], RECIPE)
-    assert not (tmp_path / "fp16.onnx").exists()
-
-
 def test_a_recipe_must_exist_and_match_a_node(tmp_path):
     model = onnx.load(build(tmp_path / "fp32.onnx"))
     assert nodes_like(model, ()) == []
