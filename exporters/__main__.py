@@ -24,11 +24,10 @@ from typing import Any
 
 import numpy as np
 import onnx
-import yaml
 
 from edge.cli.options import Parser
 from edge.host import resources
-from edge.host.files import replace_atomically, write_atomically
+from edge.host.files import replace_atomically
 from edge.models.make import TRAINED
 from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import VOCABULARY_FILE
@@ -201,15 +200,7 @@ def _make_file(
     weights = next((source.sha256 for source in card.weights_sources()), None)
     parity = report.for_card(name) if report else None
     write_sidecar(out, card.name, parity, weights, calibration_sha256)
-    if args.update_card and parity is not None:
-        _update_card(args.cards / f"{card.name}.yaml", parity)
     return report
-
-
-def _update_card(path: Path, parity: dict) -> None:
-    """Replace the card's measured parity; the other keys keep their order."""
-    card = {**yaml.safe_load(path.read_text(encoding="utf-8")), "parity": parity}
-    write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
 
 
 def export_folder(args: argparse.Namespace) -> None:
@@ -263,8 +254,6 @@ def main(argv: list[str] | None) -> None:
     option("--cache", type=Path, default=resources.models_dir(), help="folder for the model files")
     option("--cards", type=Path, default=resources.data_dir("models"),
            help="folder of the model cards")
-    option("--update-card", action="store_true", help="write into the model card how closely the "
-           "new model's outputs match the original's")
     option("--no-gate", action="store_true",
            help="keep the model even if its outputs differ too much from the original's")
     # fmt: on
