@@ -26,14 +26,12 @@ class EmbeddingReport(Report):
     Attributes:
         inputs: number of images or texts.
         cosine: lowest cosine between the two embeddings of an input.
-        mean_cosine: mean of these cosines.
         rank_agreement: see `rank_agreement`; NaN if nothing was ranked.
         max_abs_diff: largest difference of an element of two unit rows.
     """
 
     inputs: int
     cosine: float
-    mean_cosine: float
     rank_agreement: float
     max_abs_diff: float
 
@@ -68,7 +66,6 @@ def compare(
     return EmbeddingReport(
         inputs=len(exact),
         cosine=float(cosines.min()),
-        mean_cosine=float(cosines.mean()),
         rank_agreement=agreement,
         max_abs_diff=float(np.abs(exact - found).max()),
     )

@@ -43,7 +43,6 @@ class ParityReport(Report):
         precision: share of the candidate's detections that the reference also has.
         score_error: mean of |candidate - reference| / reference over every anchor and class whose
             reference score is in `SCORE_BAND`; NaN if there is none.
-        score_bias: mean of (candidate - reference) / reference over the same anchors and classes.
         max_abs_diff: largest difference of any two scores.
     """
 
@@ -52,7 +51,6 @@ class ParityReport(Report):
     recall: float
     precision: float
     score_error: float
-    score_bias: float
     max_abs_diff: float
 
     def for_card(self, reference: str) -> dict:
@@ -112,7 +110,7 @@ def compare(
         wanted += len(ref.score)
         found += len(cand.score)
         band = (ref_scores >= SCORE_BAND[0]) & (ref_scores < SCORE_BAND[1])
-        errors.append((cand_scores[band] - ref_scores[band]) / ref_scores[band])
+        errors.append(np.abs(cand_scores[band] - ref_scores[band]) / ref_scores[band])
         worst = max(worst, float(np.abs(cand_scores - ref_scores).max(initial=0.0)))
     error = np.concatenate(errors) if errors else np.empty(0)
     return ParityReport(
@@ -120,8 +118,7 @@ def compare(
         detections=wanted,
         recall=matched / wanted if wanted else 1.0,
         precision=matched / found if found else 1.0,
-        score_error=float(np.abs(error).mean()) if error.size else float("nan"),
-        score_bias=float(error.mean()) if error.size else float("nan"),
+        score_error=float(error.mean()) if error.size else float("nan"),
         max_abs_diff=worst,
     )
 
