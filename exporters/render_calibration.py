@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from edge.cli.options import Parser
+from edge.geometry import se3, to_optical
 from exporters.files import ExportError, exit_on_user_error
 
 SIZES_HW = ((256, 320), (480, 640))
@@ -147,17 +148,8 @@ def _bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return above * (1 - fy) + below * fy
 
 
-def camera_pose(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> np.ndarray:
-    """Return T_map_camera (4, 4) of a level camera: optical z forward, x right, y down."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    pose = np.eye(4)
-    pose[:3, :3] = np.array([[s, 0, c], [-c, 0, s], [0, -1, 0]])
-    pose[:3, 3] = x_m, y_m, z_m
-    return pose
-
-
 def free_pose(world: TexturedWorld, rng: np.random.Generator) -> np.ndarray:
-    """Return a random level camera pose over open floor with `CLEARANCE_M` on all sides."""
+    """Return a random level T_map_camera over open floor with `CLEARANCE_M` on all sides."""
     (x0, y0, _), (x1, y1, _) = world.mesh.bounds
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
@@ -171,7 +163,7 @@ def free_pose(world: TexturedWorld, rng: np.random.Generator) -> np.ndarray:
             np.repeat(origin[None], len(ring), 0), ring, multiple_hits=False
         )
         if len(around) and np.linalg.norm(around - origin, axis=1).min() > CLEARANCE_M:
-            return camera_pose(*origin, rng.uniform(-np.pi, np.pi))
+            return to_optical(se3(*origin, yaw_rad=rng.uniform(-np.pi, np.pi)))
 
 
 def render_set(world: TexturedWorld, count: int, seed: int, out: Path) -> list[Path]:

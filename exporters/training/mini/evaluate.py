@@ -21,6 +21,7 @@ from edge.lab.bench.boxes import overlaps
 from exporters.files import ExportError
 from exporters.images import as_input
 from exporters.onnx_format import cpu_session
+from exporters.parity import select_boxes
 from exporters.training.mini import looks
 from exporters.training.mini.houses import HELD_OUT
 from exporters.training.mini.views import Frames, is_inside_image, make_frames
@@ -225,28 +226,22 @@ def _match(
     Returns:
         The score of each detection, and 1 if it is right, 0 if it is wrong.
     """
-    keep = np.flatnonzero(scores > MIN_SCORE)
-    keep = keep[np.argsort(-scores[keep], kind="stable")][:300]
-    kept: list[int] = []
-    overlap = overlaps(boxes[keep], boxes[keep])[0]
-    for n in range(len(keep)):
-        if not kept or overlap[n, kept].max() <= IOU:
-            kept.append(n)
-    chosen = keep[kept]
+    best = np.argsort(-scores, kind="stable")[:300]
+    detected = select_boxes(boxes[best], scores[best, None], MIN_SCORE)
     answers = looks.KINDS[objects["category"], category]
     counted = np.flatnonzero((answers == looks.YES) & does_count)
     ignored = np.flatnonzero(((answers == looks.YES) & ~does_count) | (answers == looks.UNSURE))
-    on_counted = overlaps(boxes[chosen], objects["box"][counted])[0]
-    on_ignored = overlaps(boxes[chosen], objects["box"][ignored])[0]
+    on_counted = overlaps(detected.xyxy_px, objects["box"][counted])[0]
+    on_ignored = overlaps(detected.xyxy_px, objects["box"][ignored])[0]
     taken = np.zeros(len(counted), bool)
     result = []
-    for row, index in enumerate(chosen):
+    for row, score in enumerate(detected.score.tolist()):
         free = np.where(taken, 0.0, on_counted[row])
         if len(counted) and free.max() >= IOU:
             taken[free.argmax()] = True
-            result.append((float(scores[index]), 1))
+            result.append((score, 1))
         elif not (len(ignored) and on_ignored[row].max() >= IOU):
-            result.append((float(scores[index]), 0))
+            result.append((score, 0))
     return result
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Any
 
+import cv2
 import numpy as np
 
 from edge import names
@@ -82,13 +83,10 @@ def count_kinds(plans: Sequence[HousePlan], classes: Sequence[str], kinds: Seque
 
 
 def inside(polygon: Sequence[Sequence[float]], x: float, y: float) -> bool:
-    """Return True if a point is in a polygon, by the even-odd rule.
+    """Return True if a point is in a polygon, not on its edge.
 
     >>> inside([(0, 0), (2, 0), (2, 2), (0, 2)], 1, 1)
     True
     """
-    odd = False
-    for (x0, y0), (x1, y1) in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
-        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
-            odd = not odd
-    return odd
+    corners = np.array(polygon, np.float32).reshape(-1, 2)
+    return cv2.pointPolygonTest(corners, (x, y), measureDist=False) > 0
