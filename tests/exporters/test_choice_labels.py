@@ -1,4 +1,4 @@
-"""Labels of views from stored distances; stored features; seeds by ranges."""
+"""Labels of views from stored distances."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 from edge.perception.runtime.card_types import MARK_FIELDS
 from edge.perception.scoring.choice.question import MAX_MARKS
-from exporters.files import ExportError
-from exporters.training.choice import features, labels
-from exporters.training.choice.__main__ import seeds
+from exporters.training.choice import labels
 from exporters.training.choice.collect import BEFORE, NEVER, NOW, Views
 
 INF = np.inf
@@ -100,36 +98,3 @@ def test_directions_sum_to_one_and_favour_the_shortest(each_m):
 )
 def test_the_scene_leads_to_marks_near_a_shortest_path(row, leads):
     assert labels.scene(views_of([row])).item() is leads
-
-
-@pytest.mark.parametrize("text", ["", "5", "3:3", "a:b", "0:2,", "-3:2", "1:2:3"])
-def test_invalid_seed_ranges_are_refused(text):
-    with pytest.raises(ExportError, match=r"--houses: got .*; give ranges such as 0:60"):
-        seeds("--houses", text)
-
-
-def test_seeds_of_several_ranges():
-    assert seeds("--houses", "0:3,7:9") == [0, 1, 2, 7, 8]
-
-
-def test_stored_features_are_those_of_their_detector(tmp_path, monkeypatch):
-    class Trunk:
-        def __init__(self, key: str, value: int) -> None:
-            self.key, self._value = key, value
-
-        def read(self, rgb):
-            return (np.full((1, *features.GRID_HW), self._value),) * 3
-
-    class OneView:
-        def rgb(self, k):
-            return np.zeros((4, 4, 3), np.uint8)
-
-        def __len__(self):
-            return 1
-
-    monkeypatch.setattr(features, "load_views", lambda paths: OneView())
-    for key, value in (("old", 1), ("new", 2)):
-        found = features.make_features([tmp_path / "7.npz"], Trunk(key, value))
-        assert found.evidence.max() == value
-    monkeypatch.setattr(features, "load_views", None)  # stored: no view is read again
-    assert features.make_features([tmp_path / "7.npz"], Trunk("old", 3)).evidence.max() == 1

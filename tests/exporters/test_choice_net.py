@@ -1,4 +1,4 @@
-"""The network of the choice scorer: which inputs change its outputs."""
+"""The network of the choice scorer: which inputs change its outputs; its training's files."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed (extra `expo
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS  # noqa: E402
+from exporters.training.choice import features  # noqa: E402
+from exporters.training.choice.__main__ import main  # noqa: E402
 from exporters.training.choice.net import (  # noqa: E402
     GRID_HW,
     NECK16_CHANNELS,
@@ -99,3 +101,31 @@ def test_hidden_marks_count_as_unmarked_frontiers():
     hidden = np.array([[True, True], [True, False], [False, False]])
     found = _with_hidden(others, marks, hidden)
     np.testing.assert_allclose(found, [[2, 3, 9], [3, 3, 9], [0, 0, 0]])
+
+
+def test_stored_features_are_those_of_their_detector(tmp_path, monkeypatch):
+    class Trunk:
+        def __init__(self, key: str, value: int) -> None:
+            self.key, self._value = key, value
+
+        def read(self, rgb):
+            return (np.full((1, *features.GRID_HW), self._value),) * 3
+
+    class OneView:
+        def rgb(self, k):
+            return np.zeros((4, 4, 3), np.uint8)
+
+        def __len__(self):
+            return 1
+
+    monkeypatch.setattr(features, "load_views", lambda paths: OneView())
+    for key, value in (("old", 1), ("new", 2)):
+        found = features.make_features([tmp_path / "7.npz"], Trunk(key, value))
+        assert found.evidence.max() == value
+    monkeypatch.setattr(features, "load_views", None)  # stored: no view is read again
+    assert features.make_features([tmp_path / "7.npz"], Trunk("old", 3)).evidence.max() == 1
+
+
+def test_houses_that_are_held_out_cannot_be_trained_on(tmp_path, capsys):
+    assert main(["--out", str(tmp_path), "--houses", "1001"]) == 1
+    assert "--houses: got 1001; give at most 1000" in capsys.readouterr().err

@@ -18,24 +18,6 @@ from exporters.files import ExportError, exit_on_user_error
 from exporters.training.results import training_parser
 
 
-def seeds(option: str, text: str) -> list[int]:
-    """Return the seeds of half-open ranges, in their order; raise ExportError for other text.
-
-    >>> seeds("--houses", "0:3,7:9")
-    [0, 1, 2, 7, 8]
-    """
-    try:
-        ends = [part.split(":") for part in text.split(",")]
-        ranges = [range(int(first), int(end)) for first, end in ends]
-    except ValueError:
-        ranges = []
-    if not ranges or not all(ranges) or min(r.start for r in ranges) < 0:
-        raise ExportError(
-            f"{option}: got {text!r}; give ranges such as 0:60 (0 to 59) or 0:10,50:60"
-        )
-    return [seed for each in ranges for seed in each]
-
-
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
     """Parse the command line, train, and publish the model."""
@@ -45,10 +27,8 @@ def main(argv: list[str] | None) -> None:
         "images and weights",
     )
     option = parser.add_argument
-    option("--houses", default="0:130",
-           help="seeds of the houses to train on, such as 0:60 for 0 to 59")
-    option("--held-out", default="1000:1020",
-           help="seeds of the houses to measure on, in the same form")
+    option("--houses", type=count, default=130, help="number of houses to train on")
+    option("--held-out", type=count, default=20, help="number of other houses to measure on")
     option("--steps", type=count, default=1800, help="training steps")
     option("--cores", type=count, default=2, help="number of processes that explore houses")
     # fmt: on
@@ -67,17 +47,17 @@ def _train(args: argparse.Namespace) -> None:
     from exporters.training.choice.features import Trunk, make_features
     from exporters.training.choice.training import Data, TrainingPlan, train
 
-    houses, measured = seeds("--houses", args.houses), seeds("--held-out", args.held_out)
-    if max(houses) >= HELD_OUT or min(measured) < HELD_OUT:
+    if args.houses > HELD_OUT:
         raise ExportError(
-            f"--houses, --held-out: got seeds up to {max(houses)} and from {min(measured)}; "
-            f"--houses takes seeds below {HELD_OUT}, --held-out the others"
+            f"--houses: got {args.houses}; give at most {HELD_OUT}, since houses with higher seeds "
+            "are held out"
         )
-    paths = make_views(houses, args.out / "views", args.cores)
-    make_views(measured, args.out / "held-out", args.cores)
+    paths = make_views(range(args.houses), args.out / "views", args.cores)
+    held_out = range(HELD_OUT, HELD_OUT + args.held_out)
+    make_views(held_out, args.out / "held-out", args.cores)
     trunk = Trunk(export.DETECTOR_FILE, export.TEXT_FILE)
     views, features = load_views(paths), make_features(paths, trunk)
-    logging.info("%d views of %d houses", len(views), len(houses))
+    logging.info("%d views of %d houses", len(views), args.houses)
     torch.set_num_threads(1)  # more threads do not help with such small tensors
     data = Data(views, features, trunk.level_scales, trunk.words)
     plan = TrainingPlan(seed=args.seed, steps=args.steps)
@@ -86,7 +66,7 @@ def _train(args: argparse.Namespace) -> None:
         f"python -m exporters.training.choice --out RUN --seed {args.seed} --steps {args.steps} "
         f"--houses {args.houses} --held-out {args.held_out}"
     )
-    export.put_in_place(args.out, args.models, command, len(houses))
+    export.put_in_place(args.out, args.models, command, args.houses)
 
 
 if __name__ == "__main__":
