@@ -93,13 +93,10 @@ def test_excluded_layers_stay_float(tmp_path):
     assert nodes["trunk/1/conv"].input[1] == "w1"
 
 
-@pytest.mark.parametrize(
-    ("precision", "count", "says"), [("int4", 8, "int4"), ("int8-trt", 3, "3 images")]
-)
-def test_a_wrong_precision_or_too_few_images_are_refused(tmp_path, precision, count, says):
+def test_too_few_images_are_refused(tmp_path):
     fp32 = build(tmp_path / "fp32.onnx")
-    with pytest.raises(ExportError, match=says):
-        quantize(fp32, tmp_path / "int8.onnx", feeds(count), RECIPE, precision)
+    with pytest.raises(ExportError, match="3 images"):
+        quantize(fp32, tmp_path / "int8.onnx", feeds(3), RECIPE, "int8-trt")
     assert not (tmp_path / "int8.onnx").exists()
 
 
