@@ -51,8 +51,8 @@ def _add_episodes(  # type: ignore[no-untyped-def]
            "furnished:FILE.jsonl.gz[0:75]), a built-in house (house:NAME) or a mesh with its "
            "objects (MESH.glb,OBJECTS.json) (default: the configuration's sim.world)")
     option("--targets", metavar="NAME,NAME,…", help="objects to find; `common` means sixteen large "
-           "objects of most homes, `vocabulary` all names of $EDGE_VOCABULARY, and `rooms`, with "
-           "--goals, the kinds of rooms; a target that a world lacks is skipped there (default "
+           "objects of most homes, `vocabulary` all names of $EDGE_VOCABULARY, and `rooms` "
+           "the kinds of rooms; a target that a world lacks is skipped there (default "
            "with --worlds: common)")
     option("--min-size", type=float, default=0, metavar="M",
            help="with --worlds: least size of a target, in m")
@@ -161,16 +161,12 @@ def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
 def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
     rooms = kinds.add_parser(
         "rooms",
-        help="explore ProcTHOR houses, compare the rooms found with the true ones, drive to some",
+        help="explore ProcTHOR houses, and compare the rooms found with the true ones",
     )
     config_argument(rooms, "demo")
     option = rooms.add_argument
     option("--worlds", nargs="+", required=True, metavar="WORLDS",
            help="ProcTHOR houses by number: FILE.jsonl.gz[0:75] means houses 0 to 74 of the file")
-    option("--goals", type=int, default=2, metavar="N",
-           help="number of drives in each house, each to a room of another kind")
-    flag(rooms, "--goals-only", "only drive to rooms; do not explore and compare")
-    option("--seed", type=int, default=0, help="seed of the start poses")
     rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", extra="lab"))
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from simulated import simulated
 
-from edge.lab.eval.rooms import RoomGoalOutcome, RoomVerdict, report
+from edge.lab.eval import rooms
+from edge.lab.eval.rooms import RoomVerdict, report
 
 
 def verdict(kinds=("kitchen",), share=1.0, also=("kitchen",), best="kitchen", typical=3):
@@ -16,7 +18,7 @@ def values(text: str) -> list[str]:
 
 
 def test_nothing_was_measured():
-    assert values(report([], [])) == ["nan"] * 4
+    assert values(report([])) == ["nan"] * 3
 
 
 @pytest.mark.parametrize(
@@ -35,9 +37,21 @@ def test_nothing_was_measured():
     ],
 )
 def test_a_room_kind_is_judged_against_the_truth(one, shares):
-    assert values(report([one], []))[:3] == shares
+    assert values(report([one])) == shares
 
 
-def test_drives_count_by_their_success():
-    outcomes = [RoomGoalOutcome("flat", "kitchen", "reached", ok, 1.0, "") for ok in (True, False)]
-    assert values(report([], outcomes))[3] == "0.500"
+@pytest.mark.parametrize(("choice", "colour"), [("none", False), ("openai", True)])
+def test_a_model_that_looks_at_images_gets_them(monkeypatch, choice, colour):
+    asked = []
+
+    class Loop:
+        def __init__(self, config, world, colour):
+            asked.append(colour)
+
+        def run(self, seconds):
+            return self
+
+    monkeypatch.setattr(rooms, "ClosedLoop", Loop)
+    options = {"url": "http://127.0.0.1:1/v1", "model": "any"} if choice == "openai" else {}
+    rooms.explore(simulated({"perception": {"choice": {"kind": choice, **options}}}), None)
+    assert asked == [colour]

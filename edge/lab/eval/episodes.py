@@ -30,7 +30,6 @@ from edge.host.progress import with_progress
 from edge.lab.eval import geodesic, world_list
 from edge.lab.eval.arms import data_of, merged
 from edge.lab.eval.json_lines_file import parser_of, read_lines
-from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.missions import MissionCostFields, draw_missions
 from edge.lab.eval.planning.delexicalised import compiled
 from edge.lab.sim.base import World, WorldError, WorldObject, free_poses, objects_named, start_at
@@ -65,7 +64,8 @@ class Episode:
         id: unique; changes with any other field.
         world: `sim.world` of the configuration.
         start: x and y [m], yaw [rad], in `map`.
-        target: name of the object to find; None for an instruction and a session.
+        target: name of the object to find, or kind of the room to go to; None for an instruction
+            and a session.
         instruction: text of the mission; None for a target and a session.
         shortest_m: shortest path to success, by ground truth; 0 for a session, whose goals have
             their own.
@@ -169,7 +169,7 @@ def plan(
     per_world: int | None = None,
     min_size_m: float = 0.0,
 ) -> list[Episode]:
-    """Plan episodes: seeded starts for targets in worlds.
+    """Plan episodes: seeded starts for targets in worlds, which are objects and kinds of rooms.
 
     `worlds` are sections `sim.world`. If there are none, the configuration's own world must have
     every target and `starts` starts for each. In several worlds, a target is skipped if it is
@@ -183,8 +183,9 @@ def plan(
     for setup in world_setups(config, worlds):
         if not worlds:
             return _plan_in_world(setup, targets, starts, seed, min_distance_m, strict=True)
-        labels = [o.label for o in setup.world.objects if max(o.size_m) >= min_size_m]
-        present = [t for t in targets if any(names.same_name(label, t) for label in labels)]
+        here = [o.label for o in setup.world.objects if max(o.size_m) >= min_size_m]
+        here += set(setup.world.room_kinds)
+        present = [t for t in targets if any(names.same_name(name, t) for name in here)]
         found = _plan_in_world(setup, present, starts, seed, min_distance_m, strict=False)
         episodes += _draw(found, per_world, seed, setup.world.name)
     if targets and not episodes:
@@ -283,10 +284,12 @@ def _plan_in_world(
 ) -> list[Episode]:
     """Plan episodes in one world. With `strict`, every target must have `starts` starts."""
     world, section, sensing, radius_m = setup
+    fields = MissionCostFields(world, radius_m)
     episodes: list[Episode] = []
     for k, target in enumerate(with_progress("targets", targets) if strict else targets):
-        objects = objects_of(world, target)
-        distances_m = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
+        if strict and target not in world.room_kinds:
+            objects_of(world, target)  # the error names what there is
+        distances_m = fields.distance_m(target)
         # Many poses are too near to the target. Each target has its own seed.
         poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
         found = []

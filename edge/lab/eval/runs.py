@@ -162,9 +162,9 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
         return eps.read(args.episodes)[: args.limit]
     worlds = world_list.world_sections(args.worlds or ())
     targets = _targets(args.targets or ("common" if worlds else DEFAULT_TARGETS))
-    if args.goals is None and (rooms := ROOM_KINDS.keys() & targets):
+    if (args.missions or args.ask) and (rooms := ROOM_KINDS.keys() & targets):
         raise UserError(
-            f"--targets: {', '.join(sorted(rooms))}: rooms are goals of sessions only; add --goals"
+            f"--targets: {', '.join(sorted(rooms))}: --missions and --ask take no rooms; omit them"
         )
     if not targets:
         raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")

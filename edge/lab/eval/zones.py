@@ -11,8 +11,8 @@ from edge.config import Config
 from edge.errors import UserError
 from edge.geometry import Grid
 from edge.lab.eval import geodesic
-from edge.lab.eval.episodes import Episode, WorldSetup, make_episode, objects_of, world_setups
-from edge.lab.eval.metrics import REACHED_M
+from edge.lab.eval.episodes import Episode, WorldSetup, make_episode, world_setups
+from edge.lab.eval.missions import MissionCostFields
 from edge.lab.eval.zone_entries import distance_m
 from edge.lab.sim.base import FloorPlan
 from edge.memory import Site, Zone
@@ -51,17 +51,17 @@ def _with_zone(episode: Episode, setup: WorldSetup, rng: np.random.Generator) ->
     if episode.target is None:
         raise UserError("--zones: possible only for episodes with one target; omit --zones")
     plan, radius_m = setup.world.plan, setup.radius_m
-    objects = objects_of(setup.world, episode.target)
-    distances_m = geodesic.distance_field(plan, objects, radius_m, REACHED_M)
+    near = MissionCostFields(setup.world, radius_m).near(episode.target)
+    distances_m = geodesic.distance_to(plan, near, radius_m)
     path_m = shortest_path(plan, distances_m, *episode.start[:2])  # (n, 2) points
     for _ in range(_DRAWS):
         middle_m = path_m[int(rng.uniform(*ALONG) * len(path_m))]
         corners_m = _polygon(middle_m, rng)
         if distance_m(corners_m, np.array([episode.start[:2]]))[0] < radius_m + START_M:
             continue  # too near to the robot
-        distances_around_m = geodesic.distance_field(
-            plan_with_zone(plan, corners_m, MARGIN_M), objects, radius_m, REACHED_M
-        )
+        zoned = plan_with_zone(plan, corners_m, MARGIN_M)
+        left = near & (zoned.clearance_m > radius_m)
+        distances_around_m = geodesic.distance_to(zoned, left, radius_m)
         detour_m = geodesic.value_at(plan, distances_around_m, *episode.start[:2])
         ways = "detour" if math.isfinite(detour_m) else "closed"
         shortest_m = round(detour_m, 4) if ways == "detour" else episode.shortest_m

@@ -260,6 +260,15 @@ def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
     assert [j.episode.id for j in jobs] == [str(k) for k in range(len(waiting)) if k != taken]
 
 
+def test_a_target_may_be_a_room(config):
+    (there,) = plan(config, [], ["living room"], 1, 0, 2.0)
+    (arm,) = make_arms(config, {})
+    outcome = run_episode(arm, there)
+    found = outcome.success, outcome.target, outcome.distance_m
+    assert found == (True, "living room", 0.0), outcome.reason
+    assert 2.0 <= outcome.shortest_m <= outcome.path_m
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -269,6 +278,7 @@ def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
         (["--episodes", "nowhere.jsonl"], "nowhere.jsonl"),
         (["--worlds", "demo"], "--worlds demo: no such world"),
         (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),
+        (["--ask", "--targets", "bed,kitchen"], "--targets: kitchen: --missions and --ask take no"),
     ],
 )
 def test_invalid_options_are_reported_before_the_run(yaml_path, capsys, options, message):
