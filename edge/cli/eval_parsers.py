@@ -55,7 +55,7 @@ def _add_episodes(  # type: ignore[no-untyped-def]
            "the kinds of rooms; a target that a world lacks is skipped there (default "
            "with --worlds: common)")
     option("--min-size", type=float, default=0, metavar="M",
-           help="with --worlds: least size of a target, in m")
+           help="least size of a target, in m")
     option("--starts", type=count, default=starts,
            help="number of start poses for each target in each world")
     option("--per-world", type=count, metavar="N",

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from edge.bus.verbs import Request
 from edge.config import Config
-from edge.errors import UserError
-from edge.lab.eval.episodes import Episode, make_episode, world_setups
+from edge.lab.eval.episodes import Episode, first_episodes, make_episode, world_setups
 from edge.lab.eval.ground_truth import objects_meant_by
 from edge.lab.eval.missions import MissionCostFields
 from edge.lab.eval.outcome import RIGHT
@@ -26,31 +25,34 @@ EXPLORE = "explore the house"
 
 
 def plan_questions(
-    config: Config, worlds: Sequence[dict], targets: Sequence[str], seed: int
+    config: Config,
+    worlds: Sequence[dict],
+    targets: Sequence[str],
+    seed: int,
+    limit: int | None = None,
 ) -> list[Episode]:
     """Plan an episode for each world: explore it, then ask for each target that is there.
 
     Targets that the robot cannot get to are not asked for. Without `worlds` (sections `sim.world`),
-    it is the configuration's own.
+    it is the configuration's own. Only the first `limit` are planned.
 
     Raises:
         UserError: no world has any of the targets.
     """
-    episodes = []
-    for world, section, sensing, radius_m in world_setups(config, worlds):
-        fields = MissionCostFields(world, radius_m)
-        asks = tuple(target for target in targets if fields.has(target))
-        (pose,) = free_poses(world, 1, seed, radius_m)
-        if asks:
-            episodes.append(
-                make_episode(
+
+    def planned() -> Iterator[Episode]:
+        for world, section, sensing, radius_m in world_setups(config, worlds):
+            fields = MissionCostFields(world, radius_m)
+            asks = tuple(target for target in targets if fields.has(target))
+            (pose,) = free_poses(world, 1, seed, radius_m)
+            if asks:
+                yield make_episode(
                     section, world.name, start_at(pose), 0.0, sensing, instruction=EXPLORE,
                     asks=asks,
-                )
-            )  # fmt: skip
-    if not episodes:
-        raise UserError("no world has any of the targets; choose other --targets")
-    return episodes
+                )  # fmt: skip
+
+    problem = "no world has any of the targets; choose other --targets"
+    return first_episodes(planned(), limit, problem)
 
 
 def answers_of(service: Service, world: World, asks: Sequence[str], now_ns: int) -> dict[str, str]:

@@ -169,15 +169,16 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     if not targets:
         raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")
     given, seed, least_m = (config, worlds, targets), args.seed, args.min_distance
+    limit = args.limit
     if args.goals is not None:
-        planned = plan_sessions(*given, args.goals, seed, least_m, args.moved)
+        planned = plan_sessions(*given, args.goals, seed, least_m, args.moved, limit)
     elif args.ask:
-        planned = plan_questions(*given, seed)
+        planned = plan_questions(*given, seed, limit)
     elif args.missions is not None:
-        planned = eps.plan_missions(*given, args.missions, seed, least_m)
+        planned = eps.plan_missions(*given, args.missions, seed, least_m, limit)
     else:
-        planned = eps.plan(*given, args.starts, seed, least_m, args.per_world, args.min_size)
-    planned = planned[: args.limit]
+        of_world = args.per_world, args.min_size
+        planned = eps.plan(*given, args.starts, seed, least_m, *of_world, limit)
     return with_zones(config, planned, args.seed) if args.zones else planned
 
 

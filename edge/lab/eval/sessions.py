@@ -13,7 +13,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +33,13 @@ from edge.lab.eval.drive import (
     truth_of,
     warm_up_once,
 )
-from edge.lab.eval.episodes import Episode, make_episode, mission_for, world_setups
+from edge.lab.eval.episodes import (
+    Episode,
+    first_episodes,
+    make_episode,
+    mission_for,
+    world_setups,
+)
 from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger
 from edge.lab.eval.missions import MissionCostFields
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
@@ -55,6 +61,7 @@ def plan_sessions(
     seed: int,
     min_distance_m: float,
     moved: float = 0.0,
+    limit: int | None = None,
 ) -> list[Episode]:
     """Plan one session of `count` goals for each world.
 
@@ -62,34 +69,33 @@ def plan_sessions(
     `min_distance_m` is the shortest allowed path to a goal, from the start or from any place that
     counts as at the last goal. `moved` is the share of the movable objects that are moved before
     each goal but the first. Without `worlds` (sections `sim.world`), it is the configuration's own.
+    Only the first `limit` are planned.
 
     Raises:
         UserError: a world cannot be loaded, or no session is possible.
     """
-    sessions = []
-    for world, section, sensing, radius_m in world_setups(config, worlds):
-        start = start_at(free_poses(world, 1, seed, radius_m)[0])
-        fields = MissionCostFields(world, radius_m)
-        rng = np.random.default_rng([seed, *world.name.encode()])
-        shuffled = [targets[k] for k in rng.permutation(len(targets))]
-        goals = _choose_goals(fields, start, shuffled, count, min_distance_m)
-        if len(goals) < count:
-            log.warning(
-                "evaluation goes on without the world %s: only %d of %d targets are far enough "
-                "apart",
-                world.name, len(goals), count,
-            )  # fmt: skip
-            continue
-        sessions.append(
-            make_episode(section, world.name, start, 0.0, sensing, goals=goals, moved=moved)
-        )
-    if not sessions:
-        raise UserError(
-            f"no world has {count} of the targets, each {min_distance_m:g} m or more of driving "
-            "from the one before; choose other --targets, fewer --goals or a smaller "
-            "--min-distance"
-        )
-    return sessions
+
+    def planned() -> Iterator[Episode]:
+        for world, section, sensing, radius_m in world_setups(config, worlds):
+            start = start_at(free_poses(world, 1, seed, radius_m)[0])
+            fields = MissionCostFields(world, radius_m)
+            rng = np.random.default_rng([seed, *world.name.encode()])
+            shuffled = [targets[k] for k in rng.permutation(len(targets))]
+            goals = _choose_goals(fields, start, shuffled, count, min_distance_m)
+            if len(goals) < count:
+                log.warning(
+                    "evaluation goes on without the world %s: only %d of %d targets are far enough "
+                    "apart",
+                    world.name, len(goals), count,
+                )  # fmt: skip
+                continue
+            yield make_episode(section, world.name, start, 0.0, sensing, goals=goals, moved=moved)
+
+    return first_episodes(
+        planned(), limit,
+        f"no world has {count} of the targets, each {min_distance_m:g} m or more of driving from "
+        "the one before; choose other --targets, fewer --goals or a smaller --min-distance",
+    )  # fmt: skip
 
 
 def _choose_goals(

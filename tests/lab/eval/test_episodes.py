@@ -14,6 +14,8 @@ from small_house import small_house
 from edge.errors import UserError
 from edge.lab.eval import episodes, world_list
 from edge.lab.eval.episodes import COMMON_TARGETS, Episode, make_episode, plan, read, write
+from edge.lab.eval.questions import plan_questions
+from edge.lab.eval.sessions import plan_sessions
 
 HOUSE = simulated()
 
@@ -27,9 +29,30 @@ def test_episodes_are_seeded_free_and_far():
     assert len({e.id for e in planned}) == 4
 
 
-def test_too_few_starts_are_reported():
-    with pytest.raises(UserError, match="only 0 of 1 starts are 500 m"):
+def test_a_start_too_near_is_reported():
+    with pytest.raises(UserError, match="no world has a start 500 m or more of driving"):
         plan(HOUSE, [], ["bed"], 1, 0, 500.0)
+
+
+def test_a_target_that_the_only_world_lacks_is_reported():
+    with pytest.raises(UserError, match=r"nothing is a 'bedd' .choices: .*bed, "):
+        plan(HOUSE, [], ["television", "bedd"], 1, 0, 2.0)
+
+
+@pytest.mark.parametrize("kind", ["targets", "missions", "goals", "questions"])
+def test_worlds_beyond_the_limit_are_not_loaded(tmp_path, monkeypatch, kind):
+    loaded = []
+    load = world_list.load
+    monkeypatch.setattr(world_list, "load", lambda config: loaded.append(1) or load(config))
+    given = small_house(tmp_path), [small_house(tmp_path).sim.world.model_dump()] * 3
+    given += (["bed", "sofa"],)
+    planned = {
+        "targets": lambda: plan(*given, 1, 0, 2.0, limit=1),
+        "missions": lambda: episodes.plan_missions(*given, 1, 0, 1.0, limit=1),
+        "goals": lambda: plan_sessions(*given, 2, 0, 1.0, limit=1),
+        "questions": lambda: plan_questions(*given, 0, limit=1),
+    }[kind]()
+    assert (len(planned), len(loaded)) == (1, 1)
 
 
 def blocked(tmp_path, **sim):

@@ -225,7 +225,7 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
 def test_the_textured_benchmark_has_its_own_defaults(yaml_path, tmp_path, monkeypatch):
     asked: list[Any] = []
 
-    def planned(config, worlds, targets, starts, seed, distance, per_world, size):
+    def planned(config, worlds, targets, starts, seed, distance, per_world, size, limit):
         asked.append((len(worlds), worlds[0]["seed"], targets, starts, per_world))
         return [Episode("id", worlds[0], (0.0, 0.0, 0.0), "bed", None, 5.0, {})]
 
