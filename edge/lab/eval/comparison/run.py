@@ -23,7 +23,7 @@ from edge.lab.report.recorder import machine
 from edge.text import one_line
 
 EPISODES_NAME = "episodes.jsonl"  # in the folder of the outcomes
-CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html"
+JSON_NAME, PAGE_NAME = "results.json", "comparison.html"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,7 +31,6 @@ def run(args: argparse.Namespace) -> int:
     comparison, drawings = compare_folder(args.compare, args.baseline)
     print(text(comparison))
     content = {
-        CSV_NAME: tables.to_csv(comparison),
         JSON_NAME: tables.to_json(comparison),
         PAGE_NAME: page.html(comparison, drawings, args.compare.resolve().name, machine()).encode(),
     }

@@ -1,9 +1,7 @@
-"""Tables of a comparison: text for a terminal, HTML, CSV and JSON."""
+"""Tables of a comparison: text for a terminal, HTML and JSON."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Sequence
@@ -25,7 +23,7 @@ from edge.lab.eval.outcome import FAILURES
 from edge.text import format_table, one_line
 
 DASH = "–"  # for a figure without a value
-# Metrics whose intervals are in the tables. All intervals are in the CSV.
+# Metrics whose intervals are in the tables. All intervals are in the JSON.
 BOUNDED = ("sr", "spl", "soft_spl", "wrong_stops", "zone_entries", "answers_right")
 # Tables of metrics by name: title, and keys of METRICS.
 SUMMARIES = {
@@ -239,29 +237,6 @@ def html(table: ReportTable) -> str:
         f'<section><h2>{escape(table.title)}</h2><div class="scroll"><table><tr>{head}</tr>'
         f"{rows}</table></div>{note}</section>"
     )
-
-
-def to_csv(comparison: Comparison) -> bytes:
-    """Return one line for each figure, of all episodes and of every group."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(("group", "arm", "metric", "n", "value", "low", "high"))
-    for name, key, figure in _all_figures(comparison):
-        numbers = ["" if math.isnan(x) else f"{x:.6g}" for x in figure.interval]
-        writer.writerow((*name, key, figure.n, *numbers))
-    return out.getvalue().encode()
-
-
-def _all_figures(comparison: Comparison):  # type: ignore[no-untyped-def]
-    """Yield (group, arm), metric, and estimate of every figure."""
-    for name, figures in comparison.figures.items():
-        for key, figure in figures.items():
-            yield ("all", name), key, figure
-    for by, groups in comparison.groups.items():
-        for label, figures_of_arm in groups.items():
-            for name, figures in figures_of_arm.items():
-                for key, figure in figures.items():
-                    yield (f"{by}: {label}", name), key, figure
 
 
 def to_json(comparison: Comparison) -> bytes:

@@ -51,7 +51,6 @@ def test_a_folder_is_compared(folder, capsys):
     assert page.count('id="w0"') == 1
     assert page.count('href="#w0"') == 4
     assert page.count("<article") == 2
-    assert (folder / "results.csv").read_text().startswith("group,arm,metric")
 
 
 @pytest.mark.parametrize(
@@ -67,7 +66,7 @@ def test_a_folder_is_compared(folder, capsys):
         (lambda f: None, ["--baseline", "none"], os.EX_DATAERR, "(choices: slow, fast)"),
         (lambda f: (f / "episodes.jsonl").unlink(), [], os.EX_IOERR, "episodes.jsonl"),
         (lambda f: (f / "episodes.jsonl").write_text("{}\n"), [], os.EX_DATAERR, "line 1"),
-        (lambda f: (f / "results.csv").mkdir(), [], os.EX_IOERR, "Is a directory"),
+        (lambda f: (f / "results.json").mkdir(), [], os.EX_IOERR, "Is a directory"),
     ],
 )
 def test_a_comparison_that_cannot_run_is_reported_in_one_line(
