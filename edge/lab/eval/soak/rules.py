@@ -38,13 +38,11 @@ class Rule:
     """A condition that must hold at every sample.
 
     Attributes:
-        what: description for docs/soak.md.
         problem: returns the reason why the condition does not hold; "" if it holds.
         ends_run: the run cannot continue once the condition does not hold.
     """
 
     name: str
-    what: str
     problem: Callable[[SoakHarness, SoakMonitor, Sample], str]
     ends_run: bool = False
 
@@ -99,24 +97,18 @@ def _other_process_problem(harness: SoakHarness, monitor: SoakMonitor, sample: S
 
 
 RULES: tuple[Rule, ...] = (
-    Rule("service lives", "its process never ends", _process_problem, ends_run=True),
-    Rule("service answers", f"`/healthz` is 200 at least every {MAX_SILENCE_S:g} s",
-         _health_problem),
-    Rule("loop beats", f"a message of the loop at least every {MAX_SILENCE_S:g} s, "
-         "unless a fault silences the bus", _loop_problem),
-    Rule("checkpoint", "the file is complete at every sample",
-         lambda harness, monitor, sample: monitor.checkpoint_problem),
-    Rule("map", f"`….map` is complete, too; without a fault it is at most {MAX_MAP_AGE_S:g} s old",
-         _map_problem),
-    Rule("recordings", "the `mcap` library reads each complete file; together they are at most "
-         "`keep_mb`", lambda harness, monitor, sample: monitor.recordings.problem),
-    Rule("log", f"at most {MAX_LOG_LINES_PER_MIN} lines a minute", _log_problem),
-    Rule("missions end", f"at most {_MISSION_SPARE_S:g} s after `mission.time_limit_s`",
-         _mission_time_problem),
-    Rule("missions say why", "each failed mission has a reason", _mission_reason_problem),
-    Rule("others live", "simulator, controller and router never exit by themselves",
-         _other_process_problem),
-)  # fmt: skip
+    Rule("service lives", _process_problem, ends_run=True),
+    Rule("service answers", _health_problem),
+    Rule("loop beats", _loop_problem),
+    Rule("checkpoint", lambda harness, monitor, sample: monitor.checkpoint_problem),
+    Rule("map", _map_problem),
+    Rule("recordings", lambda harness, monitor, sample: monitor.recordings.problem),
+    Rule("log", _log_problem),
+    Rule("missions end", _mission_time_problem),
+    Rule("missions say why", _mission_reason_problem),
+    Rule("others live", _other_process_problem),
+)
+"""docs/soak.md describes them."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from simulated import simulated
 from edge.config import load
 from edge.errors import UserError
 from edge.lab.eval.soak.faults import FAULTS, choose_faults
-from edge.lab.eval.soak.rules import GROWTHS, RULES, Rule
+from edge.lab.eval.soak.rules import GROWTHS, RULES
 
 PAGE = (Path(__file__).parents[4] / "docs/soak.md").read_text(encoding="utf-8")
 
@@ -23,8 +23,6 @@ def test_the_page_has_every_fault():
 @pytest.mark.parametrize("rule", [*RULES, *GROWTHS], ids=lambda rule: rule.name)
 def test_the_page_has_every_rule(rule):
     assert rule.name in PAGE
-    if isinstance(rule, Rule):
-        assert rule.what in PAGE
 
 
 @pytest.mark.parametrize(
