@@ -87,11 +87,20 @@ STOP_SIMULATOR = between(
     lambda h: h.children.send_signal("simulator", signal.SIGCONT),
 )
 ENTER_NEXT_HOUSE = between(lambda h: h.start_next_house())
-CUT_SESSION = between(lambda h: h.relay.cut(), lambda h: h.relay.connect())
+CUT_SESSION = between(lambda h: h.relay.cut(), lambda h: _reconnect(h))
 KILL_ROUTER = between(lambda h: h.children.kill("router"), lambda h: h.start_router())
 KILL_CONTROLLER = between(lambda h: h.children.kill("controller"), lambda h: h.start_controller())
 SWAP_TO_BAD_MODEL = between(lambda h: h.request_models(do="use", model=BROKEN))
 BLOCK_LOG_READER = between(lambda h: h.log.block(), lambda h: h.log.open_reader())
+
+
+def _reconnect(harness: SoakHarness) -> None:
+    """Open the relay's session again, unless the service has ended.
+
+    Without a router the service is the server: nothing would answer, and the wait has no end.
+    """
+    if harness.service.poll() is None:
+        harness.relay.connect()
 
 
 def signal_model(number: int) -> Injector:

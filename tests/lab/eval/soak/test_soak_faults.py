@@ -10,6 +10,7 @@ from simulated import simulated
 
 from edge.config import load
 from edge.errors import UserError
+from edge.lab.eval.soak import injectors
 from edge.lab.eval.soak.faults import FAULTS, choose_faults
 from edge.lab.eval.soak.rules import GROWTHS, RULES
 
@@ -63,3 +64,16 @@ def test_an_unknown_fault_lists_the_known_ones(name):
 
 def test_a_fault_named_twice_is_chosen_once():
     assert [f.name for f in choose_faults(simulated(), ["reload", "reload"])] == ["reload"]
+
+
+@pytest.mark.parametrize(("exit_code", "connected"), [(None, 1), (-9, 0)])
+def test_the_session_is_opened_again_only_to_a_live_service(exit_code, connected):
+    calls = []
+    harness = SimpleNamespace(
+        service=SimpleNamespace(poll=lambda: exit_code),
+        relay=SimpleNamespace(cut=lambda: None, connect=lambda: calls.append(1)),
+    )
+    injection = injectors.CUT_SESSION(harness, None)
+    next(injection)
+    injection.close()
+    assert len(calls) == connected

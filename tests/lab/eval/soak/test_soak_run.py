@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from edge_processes import write_config
 from live_patience import eventually
 
-from edge.errors import FAILED, FileError
+from edge.cli.parsers import make_parser
+from edge.errors import FAILED, FileError, Stopped
+from edge.lab.eval.soak import run as soak_run
 from edge.lab.eval.soak.run import make_out_folder
 
 pytestmark = pytest.mark.timeout(900)
@@ -40,6 +44,32 @@ def test_only_an_empty_output_folder_is_used(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(FileError, match=r"--out .*file: cannot be used: File exists"):
         make_out_folder(tmp_path / "file")
+
+
+@pytest.mark.parametrize("stopped_in", ["start", "run"])
+def test_a_run_that_had_begun_is_judged_when_it_is_stopped(tmp_path, monkeypatch, stopped_in):
+    """The end of a fault may wait for a connection when the stop comes."""
+    calls = []
+
+    def call(name: str) -> None:
+        calls.append(name)
+        if name == stopped_in:
+            raise Stopped(name)
+
+    def made(*args):
+        return SimpleNamespace(**{
+            name: lambda *_, name=name: call(name) for name in ("start", "run", "conclude", "close")
+        })  # fmt: skip
+
+    monkeypatch.setattr(soak_run, "SoakHarness", made)
+    monkeypatch.setattr(soak_run, "SoakRun", made)
+    monkeypatch.setattr(soak_run, "stop_on_signals", threading.Event)
+    monkeypatch.setattr(soak_run, "summary", str)
+    monkeypatch.setattr(soak_run, "verdict", str)
+    words = ["soak", str(small(tmp_path)), "--out", str(tmp_path / "out")]
+    assert soak_run.run(make_parser().parse_args(words)) == 0
+    assert ("conclude" in calls) == (stopped_in == "run")
+    assert calls[-1] == "close"
 
 
 @pytest.mark.slow
