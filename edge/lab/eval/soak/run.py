@@ -19,7 +19,7 @@ from edge.host.signals import stop_on_signals
 from edge.lab.eval.soak.faults import Fault, choose_faults
 from edge.lab.eval.soak.harness import SoakHarness, soak_config
 from edge.lab.eval.soak.invariants import FaultWindow, check_recovered, log_check
-from edge.lab.eval.soak.missions import MissionFeeder
+from edge.lab.eval.soak.missions import MissionFeeder, known_labels
 from edge.lab.eval.soak.monitor import SoakMonitor
 from edge.lab.eval.soak.record import SoakRecord, rows_of_kind, verdict
 from edge.lab.eval.soak.rules import (
@@ -48,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     config = load(args.config)
     faults = choose_faults(config, args.faults.split(",") if args.faults is not None else None)
+    known_labels(config, config.sim.world)  # check before the start, which takes minutes
     make_out_folder(args.out)
     out = args.out.resolve()
     record = SoakRecord(out / "record.jsonl")
