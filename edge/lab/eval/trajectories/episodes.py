@@ -57,6 +57,7 @@ STARTS = 10
 _KEY = 18  # first part of the seeds here; `outdoor` has another
 _SPEC = re.compile(r"^streets\[(\d+):(\d+)\]$")
 _MAX_STREETS = 10_000
+_TOGETHER = 20  # frames of SemanticKITTI (2 s) whose points together are the truth of each of them
 _NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that people do not use
 # Smallest and largest distance of a task's objects from the robot.
 _KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)
@@ -175,19 +176,25 @@ def _streets(numbers: range) -> Iterator[TrajectoryEpisode]:
 def _kitti(
     folder: Path, numbers: Sequence[int], pipeline: PerceptionPipeline | None
 ) -> Iterator[TrajectoryEpisode]:
-    frames = kitti.read_frames(folder, numbers)
-    all_frames = kitti.scene_of(frames)
-    sequence, solid_m = _sequence(folder), kitti.solid_m(frames)
-    for number, frame in zip(numbers, frames, strict=True):
-        scenes: dict[tuple[str, ...], Scene] = {}
-        place = kitti_place(frame, all_frames, solid_m)
-        for task in _draw_tasks(place, PortableRng(_KEY, number)):
-            words = () if pipeline is None else named_objects(task.instruction)
-            if words not in scenes:
-                scenes[words] = _kitti_scene(frame, pipeline, words)
-            yield _episode(
-                "kitti", f"kitti-{sequence}-{number:06d}", place, task, scenes[words], solid_m
-            )
+    """Yield the episodes of a sequence's frames.
+
+    Only frames near each other are in memory: an entire sequence would need gigabytes.
+    """
+    sequence = _sequence(folder)
+    for _, near in itertools.groupby(numbers, lambda number: number // _TOGETHER):
+        frames = kitti.read_frames(folder, tuple(near))
+        all_frames, solid_m = kitti.scene_of(frames), kitti.solid_m(frames)
+        for frame in frames:
+            number = frame.observation.seq
+            scenes: dict[tuple[str, ...], Scene] = {}
+            place = kitti_place(frame, all_frames, solid_m)
+            for task in _draw_tasks(place, PortableRng(_KEY, number)):
+                words = () if pipeline is None else named_objects(task.instruction)
+                if words not in scenes:
+                    scenes[words] = _kitti_scene(frame, pipeline, words)
+                yield _episode(
+                    "kitti", f"kitti-{sequence}-{number:06d}", place, task, scenes[words], solid_m
+                )
 
 
 def _kitti_scene(
@@ -215,8 +222,8 @@ def _sequence(folder: Path) -> str:
 def kitti_place(frame: kitti.KittiFrame, all_frames: Scene, solid_m: np.ndarray) -> ReferenceScene:
     """Return the labelled objects in a frame's picture, with the ground and occupancy around them.
 
-    The ground is that of the scene of all frames, and the occupancy the points (n, 2) of labelled
-    objects in all frames.
+    The ground is that of the scene of all frames near it, and the occupancy the points (n, 2) of
+    labelled objects in them.
     """
     seen = frame.observation
     points_m = kitti.cloud_in_map(seen).astype(np.float32)

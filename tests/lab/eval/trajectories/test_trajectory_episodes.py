@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from itertools import islice
+from shutil import copyfile
 
+import made_sequence
 import numpy as np
 import pytest
 
+from edge.lab.eval import kitti
 from edge.lab.eval.trajectories.episodes import episodes
 from edge.lab.eval.trajectory_metrics import contacts
 from edge.perception.embedding.text import PromptError
@@ -59,6 +62,23 @@ def test_frames_of_different_sequences_are_different_places(recorded, shared_dir
     (other,) = episodes([f"kitti:{shared_dir}/logs/semantic_kitti_06"], limit=1)
     assert recorded.world != other.world
     assert all(one.world.startswith("kitti-semantic_kitti_0") for one in (recorded, other))
+
+
+def test_frames_far_from_the_first_are_not_read_yet(tmp_path, monkeypatch):
+    read, far = [], 1000
+    folder = made_sequence.write(tmp_path / "sequence", poses=far + 1)
+    (folder / "times.txt").write_text("".join(f"{0.1 * k}\n" for k in range(far + 1)))
+    for kind in ("image_2/000000.png", "velodyne/000000.bin", "labels/000000.label"):
+        for number in (2, far):
+            copyfile(folder / kind, folder / kind.replace("000000", f"{number:06d}"))
+    read_frame = kitti.read_frame
+    monkeypatch.setattr(
+        kitti, "read_frame", lambda *args: read.append(args[1]) or read_frame(*args)
+    )
+    found = episodes([f"kitti:{folder}"])
+    next(found)
+    assert read == [0, 2]
+    assert any(one.world.endswith(f"{far:06d}") for one in found)
 
 
 def test_a_blind_detector_changes_the_scene_but_not_the_task(recorded, shared_dir):
