@@ -73,8 +73,12 @@ def _make_arm(name: str, config: Config, settings: Data) -> ExperimentArm:
     content = changed.model_dump(mode="json", exclude=_NOT_HASHED)
     for key in ("target", "instruction", "checkpoint"):
         del content["mission"][key]
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-    return ExperimentArm(name, data, settings, digest, path)
+    return ExperimentArm(name, data, settings, digest_of(content), path)
+
+
+def digest_of(settings: Data) -> str:
+    """Return a hash of settings: outcomes of other settings must not be used again."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def data_of(config: Config) -> Data:

@@ -79,7 +79,8 @@ class TrajectoryOutcome:
     """The outcome of an episode with a method.
 
     Attributes:
-        writer: "rules", or a model's name: what wrote the trajectory.
+        writer: "rules", or a model's name: what wrote the trajectory. Then the detector's name, if
+            one found the objects. Models and detectors have a hash of their settings.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
         error_m: navigation error, the distance between the ends.
         frechet_m: Fréchet distance.

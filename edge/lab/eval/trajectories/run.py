@@ -14,6 +14,7 @@ from edge.config import ConfigError, TasksConfig, WriterModel, load
 from edge.config.explain import explain
 from edge.errors import FileError, UnavailableError, UserError
 from edge.host.signals import stop_on_signals
+from edge.lab.eval.arms import digest_of
 from edge.lab.eval.comparison import tables as comparison_tables
 from edge.lab.eval.trajectories import pictures, tables
 from edge.lab.eval.trajectories.episodes import TrajectoryEpisode, episodes
@@ -84,9 +85,11 @@ def run_all(
 
 
 def writer_of(config: TasksConfig) -> str:
-    """Return the name of the writer for outcomes."""
+    """Return the name of the writer for outcomes; a model's has a hash of its settings."""
     planner = config.planner
-    return planner.model if isinstance(planner, WriterModel) else planner.kind
+    if isinstance(planner, WriterModel):
+        return f"{planner.model} {digest_of(config.model_dump(mode='json'))}"
+    return planner.kind
 
 
 # -- the command --------------------------------------------------------------------------------
@@ -120,12 +123,17 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _detector(args: argparse.Namespace) -> Iterator[tuple[PerceptionPipeline | None, str]]:
-    """Yield the pipeline of `--detector`'s configuration and its name; None and "" without it."""
+    """Yield the pipeline of `--detector`'s configuration, and its name with a hash of its settings.
+
+    Without `--detector`, they are None and "".
+    """
     if args.detector is None:
         yield None, ""
         return
-    with detector_pipeline(load(args.detector), ()) as pipeline_and_name:
-        yield pipeline_and_name
+    config = load(args.detector)
+    settings = config.model_dump(mode="json", include={"perception", "tasks"})
+    with detector_pipeline(config, ()) as (pipeline, name):
+        yield pipeline, f"{name} {digest_of(settings)}"
 
 
 def _config(args: argparse.Namespace) -> TasksConfig:

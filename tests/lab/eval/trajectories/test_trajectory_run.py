@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from edge.cli.parsers import make_parser
 from edge.config import TasksConfig, WriterModel
 from edge.errors import FileError, UserError
 from edge.lab.eval.trajectories import methods
+from edge.lab.eval.trajectories import run as trajectory_run
 from edge.lab.eval.trajectories.episodes import episodes
 from edge.lab.eval.trajectories.methods import METHODS, methods_of, run_methods
 from edge.lab.eval.trajectories.outcomes import ResultsFolder, gather
@@ -109,10 +112,33 @@ def test_a_model_writes_with_a_picture_and_without(tmp_path):
         config = TasksConfig(planner=WriterModel(url=server.url, model="small"))
         found = ran([episode("go to the gate")], list(METHODS), ResultsFolder(tmp_path), config)
         asked = [request["messages"][1]["content"] for _, _, request in server.requests]
-    assert {outcome.writer for outcome in found} == {"small"}
+    (writer,) = {outcome.writer for outcome in found}
+    assert writer.startswith("small ")
     assert [outcome.refused for outcome in found] == [""] * len(METHODS)
     # Ours, without a picture, without a map: a question that two methods share is asked once.
     assert sorted(isinstance(content, str) for content in asked) == [False, False, True]
+
+
+def test_outcomes_of_other_settings_are_not_used_again(tmp_path, monkeypatch):
+    with serving(saying(SCRIPT)) as server:
+        known = []
+        for attempts in (2, 3, 3):
+            planner = WriterModel(url=server.url, model="small", max_attempts=attempts)
+            config = TasksConfig(planner=planner)
+            ran([episode("go to the gate")], ["ours"], ResultsFolder(tmp_path), config)
+            known.append(len(ResultsFolder(tmp_path).outcomes))
+    assert known == [1, 2, 2]
+    names = []
+    monkeypatch.setattr(
+        trajectory_run, "detector_pipeline", lambda *_: nullcontext((None, "model"))
+    )
+    for tau in (0.3, 0.4, 0.4):
+        path = tmp_path / "detector.yaml"
+        path.write_text(f"perception: {{detector: {{kind: onnx}}, tau_det: {tau}}}")
+        with trajectory_run._detector(SimpleNamespace(detector=str(path))) as (_, name):
+            names.append(name)
+    assert names[0] != names[1] == names[2]
+    assert names[0].startswith("model ")
 
 
 def test_a_late_answer_counts_as_a_failure(tmp_path):
