@@ -25,6 +25,7 @@ from edge.config import Config, load
 from edge.errors import Stopped, UserError
 from edge.host import calibration, resources
 from edge.host.interruptible import raise_if_stopped
+from edge.host.progress import ProgressBar
 from edge.host.signals import stop_on_signals
 from edge.loop import stages
 
@@ -32,7 +33,6 @@ log = logging.getLogger("edge.lab.bench.service")
 
 RECORDING_S = 60.0  # length of the built-in recording
 _VERSION = 1  # of the built-in recording; a new number makes it again
-_LOG_EVERY_S = 10.0  # recorded time between two lines of progress
 _PLAYER_S = 60.0  # longest wait for the first observation of a recording
 
 Message = tuple[Topic, int, bytes]
@@ -228,14 +228,12 @@ def ensure_recording(
 def _with_progress(
     messages: Iterable[Message], seconds: float, stop: threading.Event | None
 ) -> Iterator[Message]:
-    """Yield the messages, with a log line every few recorded seconds."""
-    first_ns, logged_s = None, 0.0
-    for message in messages:
-        if stop is not None and stop.is_set():
-            raise Stopped("stopped by request while making the recording of edge bench")
-        first_ns = message[1] if first_ns is None else first_ns
-        done_s = (message[1] - first_ns) * 1e-9
-        if done_s >= logged_s + _LOG_EVERY_S:
-            logged_s = done_s
-            log.info("making the recording: %.0f of %g s", done_s, seconds)
-        yield message
+    """Yield the messages, and show their recorded seconds on a bar."""
+    first_ns = None
+    with ProgressBar("recording", round(seconds)) as bar:
+        for message in messages:
+            if stop is not None and stop.is_set():
+                raise Stopped("stopped by request while making the recording of edge bench")
+            first_ns = message[1] if first_ns is None else first_ns
+            bar.set_done((message[1] - first_ns) // 1_000_000_000)
+            yield message
