@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from edge.jit import jit
 from edge.lab.sim.base import FloorPlan, WorldObject, box_distances_m
@@ -61,7 +62,8 @@ def near(
 def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray:
     """Return (n,) bool for (n, 2) places: True within `within_m` of the object's footprint."""
     if item.footprint_m is not None:
-        return any_within(xy_m, item.footprint_m, within_m)
+        away_m, _ = cKDTree(item.footprint_m).query(xy_m, distance_upper_bound=within_m)
+        return np.isfinite(away_m)
     return box_distances_m(xy_m, item.center_m, item.size_m, item.yaw_rad) <= within_m
 
 
@@ -69,22 +71,6 @@ def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> floa
     """Return the value of a field on the plan's raster at a point; inf outside."""
     cell = plan.grid.cell_of(x_m, y_m)
     return math.inf if cell is None else float(field[cell])
-
-
-@jit
-def any_within(xy_m, points_m, within_m):
-    """Return (n,) bool: True for each place that has any of the points within `within_m`.
-
-    The places `xy_m` are (n, 2) float64, and the points (k, 2) float32.
-    """
-    near = np.zeros(len(xy_m), np.bool_)
-    for i in range(len(xy_m)):
-        for k in range(len(points_m)):
-            dx, dy = points_m[k, 0] - xy_m[i, 0], points_m[k, 1] - xy_m[i, 1]
-            if dx * dx + dy * dy <= within_m * within_m:
-                near[i] = True
-                break
-    return near
 
 
 @jit

@@ -299,18 +299,6 @@ def true_boxes(frame: KittiFrame) -> Detections:
     )  # fmt: skip
 
 
-def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[KittiFrame]:
-    """Read some frames of a sequence; see `read_frame`.
-
-    Raises:
-        KittiError: see `read_frame`; or `numbers` is empty.
-    """
-    if not numbers:
-        available = frames_in(folder, labelled)
-        raise KittiError(f"{folder}: no frame chosen; choose some of {available}")
-    return [read_frame(folder, number, labelled) for number in numbers]
-
-
 def scene_of(
     frames: Sequence[KittiFrame],
     pipeline: PerceptionPipeline | None = None,

@@ -80,21 +80,20 @@ def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> i
     return int((touches[1:] & ~touches[:-1]).sum())
 
 
-def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> int:
-    """Count the stretches of a path within `clearance_m` of any of the obstacle points (m, 2)."""
+def point_contacts(
+    path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float
+) -> tuple[int, float]:
+    """Compare a path with obstacle points (m, 2).
+
+    Returns:
+        The number of stretches within `clearance_m` of any point; and how much nearer than that the
+        path comes to one, in m, 0 if it does not.
+    """
     points = resample(_points(path_m), 0.05)  # 5 cm apart
     away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(points)
     touches = np.append(False, away_m < clearance_m)
-    return int((touches[1:] & ~touches[:-1]).sum())
-
-
-def contact_depth_m(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> float:
-    """Return how much nearer than `clearance_m` a path comes to any obstacle point; 0: nowhere.
-
-    See `point_contacts` for the arguments.
-    """
-    away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(resample(_points(path_m), 0.05))
-    return max(clearance_m - float(away_m.min()), 0.0)
+    depth_m = max(clearance_m - float(away_m.min()), 0.0)
+    return int((touches[1:] & ~touches[:-1]).sum()), depth_m
 
 
 def _points(path_m: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from edge.geometry import Grid
 from edge.lab.eval.trajectory_metrics import (
     FRECHET_M,
-    contact_depth_m,
     contacts,
     frechet_m,
     navigation_error_m,
@@ -163,5 +162,4 @@ def test_ndtw_is_1_for_the_same_and_less_for_others(a, b):
 )  # fmt: skip
 def test_contacts_with_points_have_their_exact_depth(solid, expected, depth_m):
     solid_m, driven = np.array(solid, np.float64).reshape(-1, 2), path([[0, 0], [10, 0]])
-    assert point_contacts(driven, solid_m, 1.0) == expected
-    assert contact_depth_m(driven, solid_m, 1.0) == pytest.approx(depth_m)
+    assert point_contacts(driven, solid_m, 1.0) == (expected, pytest.approx(depth_m))

@@ -56,15 +56,6 @@ def crate(x: float, y: float) -> WorldObject:
     return WorldObject(1, "crate", "box", "box", (x, y, 0.2), (0.2, 0.2, 0.4), 0.0)
 
 
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 20), k=st.integers(0, 20))
-def test_any_within_agrees_with_numpy(seed, n, k):
-    rng = np.random.default_rng(seed)
-    places, points = rng.uniform(0, 4, (n, 2)), rng.uniform(0, 4, (k, 2)).astype(np.float32)
-    apart = np.linalg.norm(places[:, None] - points[None].astype(float), axis=2)
-    expected = (apart <= 1.0).any(axis=1)
-    np.testing.assert_array_equal(geodesic.any_within(places, points, 1.0), expected)
-
-
 def test_a_footprint_counts_and_not_the_box_around_it():
     corner = replace(crate(2.0, 1.2), size_m=(2.0, 1.0, 0.4), footprint_m=np.float32([[3.0, 1.2]]))
     field = geodesic.distance_field(room(), [corner], 0.2, 0.5)

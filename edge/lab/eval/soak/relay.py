@@ -41,7 +41,6 @@ class Relay:
     Attributes:
         alter: alters the sensors' messages; None: no change.
         offset_m: added to the x of the odometry, before `alter`.
-        passed: number of sensor messages so far.
 
     Raises:
         Stopped: `stop` was set before the service's endpoint answered.
@@ -50,7 +49,6 @@ class Relay:
     def __init__(self, robot: ZenohConfig, service: ZenohConfig, stop: threading.Event) -> None:
         self.alter: MessageFilter | None = None
         self.offset_m = 0.0
-        self.passed = 0
         self._delay_s = 0.0
         self._delayed: deque[tuple[float, Topic, bytes]] = deque()
         self._robot, self._service, self._stop = robot, service, stop
@@ -100,7 +98,6 @@ class Relay:
 
     def _pass_on(self, topic: Topic, sample: zenoh.Sample) -> None:
         payload, alter = sample.payload.to_bytes(), self.alter
-        self.passed += 1
         if topic is topics.ODOMETRY and self.offset_m:
             payload = moved(payload, self.offset_m)
         for sent in (payload,) if alter is None else alter(topic, payload):
@@ -140,7 +137,7 @@ def restamped(payload: bytes, stamp_ns: int) -> bytes:
     return payload[:begin] + STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + payload[end:]
 
 
-def drop(only: Sequence[Topic] = topics.PLAYED) -> MessageFilter:
+def drop(only: Sequence[Topic]) -> MessageFilter:
     """Return a `MessageFilter` that drops messages of these topics."""
     return lambda topic, payload: () if topic in only else (payload,)
 

@@ -182,7 +182,7 @@ def _kitti(
     """
     sequence = _sequence(folder)
     for _, near in itertools.groupby(numbers, lambda number: number // _TOGETHER):
-        frames = kitti.read_frames(folder, tuple(near))
+        frames = [kitti.read_frame(folder, number) for number in near]
         all_frames, solid_m = kitti.scene_of(frames), kitti.solid_m(frames)
         for frame in frames:
             number = frame.observation.seq

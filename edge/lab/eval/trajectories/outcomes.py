@@ -20,7 +20,6 @@ from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.lab.eval.trajectories.methods import MethodResult
 from edge.lab.eval.trajectories.references import Category
 from edge.lab.eval.trajectory_metrics import (
-    contact_depth_m,
     contacts,
     frechet_m,
     navigation_error_m,
@@ -140,12 +139,12 @@ def outcome_of(
     path_m, reference_m, robot_m = result.path_m, episode.task.reference_m, episode.robot_m
     error_m = navigation_error_m(path_m, reference_m)
     # `solid_m` are the true obstacles as points; without them, the grid `truth` is exact.
+    solid_m = episode.solid_m
+    if solid_m is None:
+        solid_m = episode.truth.centres_m(*np.nonzero(episode.truth.cells > 0))
+    true_contacts, depth_m = point_contacts(path_m, solid_m, robot_m)
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
-        solid_m = episode.truth.centres_m(*np.nonzero(episode.truth.cells > 0))
-    else:
-        true_contacts = point_contacts(path_m, episode.solid_m, robot_m)
-        solid_m = episode.solid_m
     outline_m = {one.id: one.outline_m for one in episode.landmarks}[episode.task.landmarks[-1]]
     end_m, wanted_m = (
         float(np.hypot(*(outline_m - at_m).T).min()) for at_m in (path_m[-1], reference_m[-1])
@@ -158,7 +157,7 @@ def outcome_of(
         round(length_m(path_m), 2), result.refused, result.reason, round(result.seconds, 4),
         _plain(resample_evenly(path_m, _DRAWN_M)),
         at_thing=not result.refused and end_m <= wanted_m + _AT_M,
-        true_depth_m=round(contact_depth_m(path_m, solid_m, robot_m), 4),
+        true_depth_m=round(depth_m, 4),
     )  # fmt: skip
 
 

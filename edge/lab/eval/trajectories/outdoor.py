@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,20 +51,16 @@ _TRIES = 200  # streets to draw for an episode
 _KEY = 17  # first part of the seeds, different from those of other modules
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OutdoorEpisode:
+class OutdoorEpisode(NamedTuple):
     """A task in a street.
 
     Attributes:
         scene: without a camera; the robot stands at the origin of `map`.
-        cloud_m: (n, 3) float32, the entire scan in `map`.
         place: the objects from which the task is made.
         task: the instruction and its reference.
     """
 
-    name: str
     scene: Scene
-    cloud_m: np.ndarray
     place: ReferenceScene
     task: TrajectoryTask
 
@@ -75,12 +72,11 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
     """
     kind = KINDS[number % len(KINDS)]
     for attempt in range(_TRIES):
-        this_street = street(number, attempt)
-        scene, cloud_m = outdoor_scene(this_street)
+        scene, _ = outdoor_scene(street(number, attempt))
         place = place_of(scene)
         task = next(possible_tasks(place, kind, PortableRng(_KEY, number, attempt)), None)
         if task is not None:
-            return OutdoorEpisode(this_street.name, scene, cloud_m, place, task)
+            return OutdoorEpisode(scene, place, task)
     raise AssertionError(f"episode {number}: none of {_TRIES} drawn streets has a task")
 
 

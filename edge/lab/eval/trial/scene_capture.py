@@ -79,7 +79,7 @@ def capture_kitti(
             raise SceneCaptureError(
                 f"--frames: {folder}: no frame {number} with {what} (choices: {listed})"
             )
-    frames = kitti.read_frames(folder, numbers, labelled)
+    frames = [kitti.read_frame(folder, number, labelled) for number in numbers]
     clearance_m, detect = config.tasks.trajectory.clearance_m, None
     last = frames[-1].observation
     if words is None:
