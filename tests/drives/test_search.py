@@ -99,7 +99,7 @@ def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
     assert loop.service.status.phase == "failed"
     stamps = [goal.stamp_ns for goal in loop.notes.goals[before:]]
     assert stamps == sorted(set(stamps))
-    assert not any("replaced" in answer.reason for answer in loop.notes.answers)
+    assert not any("replaced" in answer.reason for answer in loop.notes.goal_statuses)
 
 
 @pytest.mark.parametrize("formula", ["F bed", "F television & F sofa"])

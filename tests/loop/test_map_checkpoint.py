@@ -85,10 +85,10 @@ class Run(ClosedLoop):
         """Tick the driving service, then the second one with the same observation."""
         observation, now_ns = self.observe(), self.drive.motion.stamp_ns
         self._seq -= 1
-        seen = len(self.notes.answers)
+        seen = len(self.notes.goal_statuses)
         self.step()
         self.second.tick(replace(observation), now_ns)
-        for answer in self.notes.answers[seen:]:
+        for answer in self.notes.goal_statuses[seen:]:
             self.hear(answer)
         return self.service, self.second
 

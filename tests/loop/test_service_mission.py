@@ -175,7 +175,7 @@ def test_a_goal_from_before_a_pause_is_not_sent_again():
             loop.step()
     stamps = [goal.stamp_ns for goal in loop.notes.goals]
     assert stamps == sorted(set(stamps))
-    assert not any("replaced" in answer.reason for answer in loop.notes.answers)
+    assert not any("replaced" in answer.reason for answer in loop.notes.goal_statuses)
 
 
 def test_cancel_ends_a_mission_and_leaves_nothing_to_pause():

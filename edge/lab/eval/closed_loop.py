@@ -40,17 +40,17 @@ class RunLog:
     Attributes:
         goals: the goals that the service sent.
         events: texts of the events of the mission log.
-        answers: the goal statuses that the service received.
+        goal_statuses: the goal statuses that the service received.
     """
 
     def __init__(self) -> None:
         self.goals: list[Goal] = []
         self.events: list[str] = []
-        self.answers: list[GoalStatus] = []
+        self.goal_statuses: list[GoalStatus] = []
 
     def tick(self, result: TickResult) -> None:
         self.goals += result.goals
-        self.answers += result.goal_statuses
+        self.goal_statuses += result.goal_statuses
         self.events += (event.text for event in result.events)
 
     def close(self) -> None:
