@@ -21,7 +21,7 @@ from edge.loop.checkpoints import map_checkpoint
 from edge.loop.checkpoints.checkpoint import ServiceCheckpoint
 from edge.loop.checkpoints.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
 from edge.loop.service import Service
-from edge.mapping.tiles import LayerTiles, TileCopier
+from edge.mapping.tiles import TileCopier
 from edge.mapping.window import Window
 from edge.memory import known_objects
 from edge.perception.factory import make_detector
@@ -177,7 +177,7 @@ def test_the_checkpoint_is_one_tick_and_under_five_seconds_old(tmp_path, monkeyp
     """This holds although copying takes several ticks, while the robot drives."""
     steps, step = [], TileCopier.step
 
-    def few(copier: TileCopier, window: Window, planes: LayerTiles, most: int) -> bool:
+    def few(copier: TileCopier, window: Window, planes: tuple, most: int) -> bool:
         steps.append(step(copier, window, planes, 17))  # one more than an update writes here
         return steps[-1]
 

@@ -106,8 +106,7 @@ def test_the_path_keeps_to_the_chosen_regions():
 def test_unchosen_ground_is_crossed_as_a_last_resort():
     where = scene(road=(-9.0, -9.0, -2.0, 9.0))
     fill(where.regions_grid, (2.0, -9.0, 9.0, 9.0), 1)
-    (note,) = refined(where).notes
-    assert note.endswith(" m of the path are over ground that was not chosen")
+    (note,) = (note for note in refined(where).notes if "not chosen" in note)
     assert float(note.split()[0]) == pytest.approx(4.0, abs=0.3)
 
 
