@@ -12,7 +12,7 @@ from edge.config import MissionConfig, TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval.everyday import SITE
 from edge.mission.destinations import FailureTarget
-from edge.mission.language.errands.impossible import refuse_states
+from edge.mission.language.errands.impossible import refuse_unseen
 from edge.mission.language.errands.outcomes import split_outcomes
 from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import MissionSpec, prepare
@@ -377,9 +377,9 @@ def test_a_place_with_more_orders_is_asked_about():
     "name", ["reserved sign", "open mic", "closed door sign", "dirty towel rack"]
 )
 def test_a_state_in_a_name_is_no_state(name):
-    refuse_states(f"find the {name}, then a {name} board")
+    refuse_unseen(f"find the {name}, then a {name} board")
     with pytest.raises(UserError, match="cannot see"):
-        refuse_states(f"find the {name.split()[0]} chair.")
+        refuse_unseen(f"find the {name.split()[0]} chair.")
 
 
 def test_only_formulas_and_conditions_name_failures():

@@ -113,6 +113,7 @@ def test_an_instruction_about_a_path_becomes_a_task(instruction, said):
         ({"instruction": "turn left at the red bench", "site": RED_BENCH}, "'left'"),
         ({"instruction": "go to the sofa exactly"}, "did not understand 'exactly'"),
         ({"instruction": "turn left", "repeat": Repetition(2)}, "did not understand 'left'"),
+        ({"instruction": "go slowly past the sofa and stop at the bed"}, "how fast it drives"),
         ({"instruction": "dance past the sofa"}, "'dance': the robot answers"),
     ],
 )
