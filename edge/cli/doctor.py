@@ -70,10 +70,8 @@ def as_json(findings: list[Finding]) -> str:
 
 def check_configuration(config: Config) -> Iterator[Finding]:
     """Check all that `edge run` checks before it starts; see `edge.cli.preflight`."""
-    if crashes():
-        return
     try:
-        preflight.check(config)
+        preflight.check(config, use_onnxruntime=not crashes())
     except UserError as error:
         for line in str(error).splitlines():
             yield finding_of(UserError(line), todo="correct the configuration")

@@ -56,14 +56,20 @@ from edge.tasks import script
 from edge.tasks.mission_spec import prepare_mission
 
 
-def check(config: Config) -> None:
+def check(config: Config, use_onnxruntime: bool = True) -> None:
     """Raise UserError if the service cannot run with this configuration.
+
+    Args:
+        config: the configuration.
+        use_onnxruntime: False leaves out what needs this library, for example because it crashes.
 
     Raises:
         UserError: one line for each fault, with the exit code of the first.
     """
     faults: list[UserError] = []
-    for run_check in (*_CHECKS, *(partial(_check_model, model) for model in named_models(config))):
+    checks = _CHECKS + ((_check_translator,) if use_onnxruntime else ())
+    models = (partial(_check_model, model, use_onnxruntime) for model in named_models(config))
+    for run_check in (*checks, *models):
         try:
             run_check(config)
         except UserError as error:
@@ -139,8 +145,8 @@ def _check_tasks(config: Config) -> None:
 
 
 _CHECKS: tuple[Callable[[Config], object], ...] = (
-    find_source, find_sinks, _check_policy, _check_planner, _check_bus, _check_http,
-    _check_translator, _check_choice, _check_tasks,
+    find_source, find_sinks, _check_policy, _check_planner, _check_bus, _check_http, _check_choice,
+    _check_tasks,
 )  # fmt: skip
 
 
@@ -185,14 +191,15 @@ def named_models(config: Config) -> Iterator[NamedModel]:
         yield NamedModel("perception.choice.fallback", choice.fallback, ChoiceCard, CPU_ONLY)
 
 
-def _check_model(model: NamedModel, config: Config) -> None:
+def _check_model(model: NamedModel, use_onnxruntime: bool, config: Config) -> None:
     """Check the card of a model and the cards that it refers to: files, packages, providers."""
     with _prefix_errors(config, model.key):
         cards = list(_checked_cards(config, model.name, model.kind))
     if any(file.server is None for card in cards for file in card.files):
         # A model in a separate process must not load onnxruntime into this one.
         isolated = config.perception.isolation == "process"
-        ask_onnxruntime = not isolated and tuple(model.providers) != CPU_ONLY
+        is_asked = use_onnxruntime and not isolated
+        ask_onnxruntime = is_asked and tuple(model.providers) != CPU_ONLY
         check_providers(
             model.providers, f"{model.key.rpartition('.')[0]}.providers", ask_onnxruntime
         )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from edge.errors import ConfigError
@@ -22,8 +23,8 @@ def kernel_cache() -> Iterator[None]:
     """Give numba a folder for compiled kernels, in this block and in processes started in it.
 
     Numba uses `NUMBA_CACHE_DIR`, else `__pycache__` next to the code, else the user's cache. If
-    none of these can be written, `$EDGE_CACHE_DIR` is used, else a temporary folder, with a
-    warning.
+    none of these can be written, `$EDGE_CACHE_DIR` is used, else a folder in that for temporary
+    files, with a warning.
 
     Raises:
         ConfigError: no folder can be written.
@@ -31,10 +32,12 @@ def kernel_cache() -> Iterator[None]:
     if _numba_finds_folder():
         yield
         return
-    with ExitStack() as stack:
-        stack.callback(_set_variable, os.environ.get(_VARIABLE))
-        _set_variable(str(_own_folder() or _temporary_folder(stack)))
+    before = os.environ.get(_VARIABLE)
+    _set_variable(str(_own_folder() or _temporary_folder()))
+    try:
         yield
+    finally:
+        _set_variable(before)
 
 
 def _numba_finds_folder() -> bool:
@@ -52,17 +55,21 @@ def _own_folder() -> Path | None:
     return folder if _is_writable(folder) else None
 
 
-def _temporary_folder(stack: ExitStack) -> Path:
+def _temporary_folder() -> Path:
+    """Return this user's folder for temporary kernels; all processes and later starts share it."""
     advice = f"set EDGE_CACHE_DIR (or {_VARIABLE}) to a folder that user {os.getuid()} can write"
+    folder = Path(tempfile.gettempdir(), f"edge-kernels-{os.getuid()}")
     try:
-        folder = stack.enter_context(
-            tempfile.TemporaryDirectory(prefix="edge-kernels-", ignore_cleanup_errors=True)
-        )
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
     except OSError as error:
         raise ConfigError(f"no folder for compiled kernels ({error.strerror}): {advice}") from None
-    log.warning("no folder can keep compiled kernels, so each start compiles them again, for tens "
-                "of seconds: %s", advice)  # fmt: skip
-    return Path(folder)
+    # Code that another user could write would run with the rights of this one.
+    if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
+        raise ConfigError(f"{folder}: other users can write here: {advice}")
+    log.warning("compiled kernels are in %s; if it is emptied, they are compiled again, for tens "
+                "of seconds: %s", folder, advice)  # fmt: skip
+    return folder
 
 
 def _is_writable(folder: Path) -> bool:

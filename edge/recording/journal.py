@@ -366,9 +366,16 @@ def config_text(config: Config) -> dict[str, Any]:
     return redact(config.model_dump(mode="json"))
 
 
+# Keys of earlier versions, which every recording of theirs has.
+_REMOVED = {"perception": ("voxel_m", "reject_radius_m"), "motion": ("stuck_s", "clearance_m")}
+
+
 def config_of(stored: dict[str, Any]) -> Config:
     """Decode a configuration; raise ConfigError."""
     path = stored.pop("path", "<recording>")
+    for section, keys in _REMOVED.items():
+        for key in keys:
+            (stored.get(section) or {}).pop(key, None)
     return parse(stored, path)
 
 

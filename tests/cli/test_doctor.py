@@ -298,6 +298,8 @@ def test_a_crashing_onnxruntime_is_reported_in_one_line(monkeypatch):
     (finding,) = doctor.examine(uses_it_twice)
     assert re.fullmatch(rf"onnxruntime [\d.]+: {fault}", finding.what)
     assert "docs/install.md" in finding.todo
+    _, finding = doctor.examine(simulated({"sinks": ["zenho"]}))
+    assert (finding.level, "zenho" in finding.what) == ("fail", True)
 
 
 def test_tensorrt(monkeypatch):

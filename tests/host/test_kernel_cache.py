@@ -43,11 +43,25 @@ def test_a_writable_numba_cache_is_left_alone(variable, places, monkeypatch, cap
 def test_without_a_cache_folder_a_temporary_one_is_used(ours, places, monkeypatch, caplog):
     if ours is not None:
         monkeypatch.setenv("EDGE_CACHE_DIR", str(places / ours))
-    folder = chosen()
-    assert folder.startswith(str(places / "temporary" / "edge-kernels-"))
-    assert list((places / "temporary").iterdir()) == []
+    folder = places / "temporary" / f"edge-kernels-{os.getuid()}"
+    assert chosen() == str(folder)
     (record,) = caplog.records
+    (folder / "kernel").touch()
+    assert chosen() == str(folder)
+    assert (folder / "kernel").exists()  # the next start need not compile it
     assert "set EDGE_CACHE_DIR (or NUMBA_CACHE_DIR)" in record.getMessage()
+
+
+def test_a_temporary_folder_that_others_can_write_is_refused(places):
+    folder = places / "temporary" / f"edge-kernels-{os.getuid()}"
+    folder.mkdir()
+    folder.chmod(0o777)
+    with pytest.raises(ConfigError, match="other users can write here: set EDGE_CACHE_DIR"):
+        chosen()
+    folder.rmdir()
+    folder.symlink_to(places)
+    with pytest.raises(ConfigError, match="other users can write here"):
+        chosen()
 
 
 def test_without_any_folder_the_error_names_the_remedy(places, monkeypatch):

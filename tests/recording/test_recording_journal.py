@@ -180,6 +180,13 @@ def test_all_fields_of_a_plan_survive_a_round_trip():
     assert isinstance(found["grounds"], frozenset)
 
 
+def test_a_configuration_of_an_earlier_version_is_read():
+    stored = journal.config_text(small())
+    stored["perception"]["voxel_m"] = 0.05
+    stored["motion"] = {**(stored["motion"] or {}), "stuck_s": 5.0, "clearance_m": 0.1}
+    assert journal.config_of(stored).robot == small().robot
+
+
 def test_a_plan_of_an_earlier_version_is_read():
     (entry,) = again(LoopInput(0, "result", {"worker": "task", "result": PlanResult(error="none")}))
     stored = entry.fields["result"]

@@ -194,6 +194,11 @@ def plan(
                     f"{', '.join(sorted(here))})"
                 )
             found = _plan_in_world(setup, present, starts, seed, min_distance_m)
+            if not worlds and len(found) < starts * len(present):
+                log.warning(
+                    "world %s: only %d of %d starts are %g m or more of driving from their target",
+                    world.name, len(found), starts * len(present), min_distance_m,
+                )  # fmt: skip
             yield from _draw(found, per_world, seed, world.name)
 
     return first_episodes(

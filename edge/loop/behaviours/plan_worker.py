@@ -30,7 +30,7 @@ from edge.tasks.scene.pipeline import GroundKinds, open_pipeline
 from edge.tasks.scene.scene import Scene, SceneObject
 from edge.tasks.scene.scene_builder import add_detections, add_ground
 from edge.tasks.scene.value_map import PathMargins
-from edge.tasks.sentences.object_phrases import AmbiguousObjectError
+from edge.tasks.sentences.object_phrases import AmbiguousObjectError, UnseenObjectError
 from edge.tasks.sentences.phrases import ground_kind
 from edge.tasks.sentences.reading import route_limits
 from edge.tasks.sentences.step_phrases import UnseenGroundError
@@ -329,8 +329,8 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
 
 
 def _may_appear(error: TranslationError, request: PlanRequest) -> bool:
-    """Return True if the network can name the ground that was not seen so far."""
-    return (
+    """Return True if the described object, or ground that the network can name, may be seen yet."""
+    return isinstance(error, UnseenObjectError) or (
         isinstance(error, UnseenGroundError)
         and request.votes is not None
         and error.kind in map(ground_kind, request.votes.kinds)

@@ -117,6 +117,10 @@ def object_of_last_step(
     return before[-1].objects[0]
 
 
+class UnseenObjectError(TranslationError):
+    """A description that fits no object that was seen so far."""
+
+
 class AmbiguousObjectError(TranslationError):
     """A name that fits several objects."""
 
@@ -364,7 +368,10 @@ def _objects_described(
         fitting = _filtered(found, lambda t, word=token.text: word in _caption_words(t))
         if not fitting:
             hint = f"this word describes none of them: {', '.join(map(object_name, found[:4]))}"
-            reader.refuse(hint, token)
+            try:
+                reader.refuse(hint, token)
+            except TranslationError as error:
+                raise UnseenObjectError(str(error), error.part, error.position) from None
         found = fitting
     return found
 
