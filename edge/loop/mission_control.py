@@ -49,7 +49,9 @@ class MissionControl:
 
     def make_run(self, spec: MissionSpec, config: MissionConfig, id: str = "") -> MissionRun:
         """Return a mission that reports its log as events."""
-        return MissionRun(spec, config, lambda step: self._event(step.text, step.stamp_ns), id)
+        run = MissionRun(spec, config, lambda step: self._event(step.text, step.stamp_ns), id)
+        run.meter.decide = self._input_log.record_decision
+        return run
 
     def replace(self, mission: MissionRun, now_ns: int) -> None:
         """Put another mission in the place of the present one."""

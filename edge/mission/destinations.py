@@ -18,6 +18,7 @@ from edge import names, number_words
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room, parse_description
+from edge.mission.language.words import nouns
 from edge.mission.language.words.everyday_words import is_room
 from edge.mission.language.words.places import EVERY, EXPLORED, HERE, NO, START
 from edge.mission.language.words.spans import shown_s
@@ -235,7 +236,8 @@ def destination_of(text: str, site: Site) -> Destination | None:
         return ExploreTarget(room, found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
         name, room = found["name"], found["room"] or ""
-        if room and not is_room(room) and _room_of(room, site) is None:  # "milk in the fridge"
+        is_object = not is_room(room) and nouns.unknown_in(room.split()) is None
+        if room and is_object and _room_of(room, site) is None:  # "milk in the fridge"
             return CheckTarget(f"{name} in the {room}")
         return CheckTarget(name, _room_name_of(room, site))
     if found := _EVERY.fullmatch(text):

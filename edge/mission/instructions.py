@@ -69,6 +69,7 @@ NO_SITE = Site()
 """A site without names."""
 # Spelled-out text that means more than the words as they were given.
 _MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED}|{EVERY})\b|, then ')
+_DAY = re.compile(r"\b(?:today|tonight|this (?:morning|noon|afternoon|evening|night))\b", re.I)
 _NEAREST = re.compile(r"\b(?:nearest|closest)\b", re.I)
 # Words in names that a remark may share with a target by chance.
 _SMALL_WORDS = split_entries("the next near room and for from here there with wait")
@@ -178,11 +179,18 @@ def _translate_plain(
     if short == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the object is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
+    goals, bans = split_bans(translation.formula)
+    lone_waits = {ltl.eventually(ltl.ap(name)) for name in ltl.propositions(translation.formula)
+                  if name.startswith(f"{WAIT} until ")}  # fmt: skip
+    if len(goals) + len(bans) > 1 and not lone_waits.isdisjoint(goals):
+        raise unclear(text, "a time of day must begin a sequence of orders to go somewhere")
     english = translation.english + _note(order.speech.reasons, translation.formula)
+    if lone_waits and _DAY.search(text):
+        english += " (A time is the next one, today or tomorrow.)"
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     if says_manner(text):
-        english += " (How fast it drives is set in the motion controller.)"
+        english += " (How it drives is set in the motion controller.)"
     if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
         english += " (One that it knows, else the first that it finds.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)

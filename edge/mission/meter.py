@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from edge.geometry import SE2
 from edge.mission.time_of_day import next_ns
 
@@ -21,6 +23,7 @@ class MissionMeter:
         pursued_s: for each target, the time for which it was pursued since it was last reached,
             failed or seen again.
         ends_ns: for each wait until a time of day, the loop time at which it ends.
+        decide: makes a decision that depends on this computer; see `InputLog.record_decision`.
     """
 
     def __init__(self) -> None:
@@ -28,6 +31,7 @@ class MissionMeter:
         self.exempt_s = self.exempt_m = 0.0
         self.pursued_s: dict[str, float] = {}
         self.ends_ns: dict[str, int] = {}
+        self.decide: Callable[[str, Callable[[], str]], str] = lambda what, decide: decide()
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
 
@@ -81,7 +85,10 @@ class MissionMeter:
         ends_ns = self.ends_ns.get(target)
         # A later end is of another clock, for example of a simulation that began again.
         if ends_ns is None or ends_ns - now_ns > _LONGEST_DAY_NS:
-            ends_ns = self.ends_ns[target] = next_ns(time_of_day, now_ns)
+            ends = self.decide(
+                "wait", lambda: str(next_ns(time_of_day, now_ns))
+            )  # by its time zone
+            ends_ns = self.ends_ns[target] = int(ends)
         return ends_ns
 
     def end_pursuit(self, target: str) -> None:

@@ -11,7 +11,7 @@ def next_ns(time_of_day: str, after_ns: int) -> int:
     """Return the next time [ns] at which the clock shows a time of day.
 
     A time that the change to summer time leaves out comes an hour later. One that the change back
-    brings twice counts once, unless `after_ns` is between the two.
+    brings twice counts once: the first, or the second if `after_ns` is in the repeated hour.
 
     Args:
         time_of_day: hours and minutes, as "09:00".

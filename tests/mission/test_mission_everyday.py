@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config import MissionConfig, TranslatorAuto, TranslatorLtl
+from edge.errors import UserError
 from edge.lab.eval.everyday import SITE, everyday_cases, score_everyday
 from edge.mission.instructions import translate
 from edge.mission.language.intents import (
@@ -373,7 +374,31 @@ def test_a_reason_that_is_left_out_is_reported():
 def test_a_manner_is_not_promised(said, formula, is_remarked):
     translation = translate(MissionConfig(), said)
     assert str(translation.formula) == formula
-    assert ("How fast it drives" in translation.english) is is_remarked
+    assert ("How it drives" in translation.english) is is_remarked
+
+
+@pytest.mark.parametrize(
+    ("said", "is_remarked"),
+    [("Tonight at ten, go to the bed.", True), ("At 10 pm, go to the bed.", False)],
+)
+def test_a_time_may_be_that_of_tomorrow(said, is_remarked):
+    translation = translate(MissionConfig(), said)
+    assert str(translation.formula) == 'F ("wait until 22:00" & F bed)'
+    assert ("today or tomorrow" in translation.english) is is_remarked
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("at 9 am avoid the kitchen", "must begin a sequence of orders"),
+        ("visit rooms 1 to 5 but not room 3", "did not understand 'to 5 but not room 3'"),
+        ("go to the dock 12", "did not understand '12'"),
+        ("skip the kitchen", "fulfilled by doing nothing"),
+    ],
+)
+def test_nothing_is_lost_without_a_word(said, why):
+    with pytest.raises(UserError, match=why):
+        prepare(MissionConfig(), instruction=said, site=SITE)
 
 
 def test_a_ban_on_haste_is_no_ban_on_the_object():

@@ -9,6 +9,8 @@ import pytest
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
+from edge.loop.input_log import InputLog
+from edge.loop.mission_control import MissionControl
 from edge.mission.checkpoint import restore, state_of
 from edge.mission.run import MissionRun
 from edge.mission.spec import prepare
@@ -88,3 +90,17 @@ def test_each_wait_until_a_time_of_day_is_counted_from_its_begin():
     assert mission.meter.end_of_wait_ns(mission.target, "09:00", ends_ns) == next_ns(
         "09:00", ends_ns
     )
+
+
+def test_the_end_is_a_decision_that_a_replay_repeats():
+    """The computer that replays may have another time zone."""
+    noted = InputLog()
+    control = MissionControl(
+        begun('F "wait until 09:00"').spec, MissionConfig(), None, noted, lambda *_: None
+    )
+    ends_ns = control.mission.meter.end_of_wait_ns("wait until 09:00", "09:00", S)
+    (entry,) = noted.pending
+    assert (entry.kind, entry.fields["name"]) == ("decision", "wait")
+    control.mission.meter.begin_round()
+    control.mission.meter.decide = lambda what, decide: "7"
+    assert ends_ns > control.mission.meter.end_of_wait_ns("wait until 09:00", "09:00", S) == 7

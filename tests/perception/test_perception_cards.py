@@ -69,8 +69,8 @@ def test_no_cards(place):
         ({"sha256": "abc"}, "sha256: "),
         ({"file": "../../etc/passwd.onnx"}, "file: "),
         ({"name": "other"}, "must be the file's name 'tiny'"),
-        ({"sources": [{"kind": "ftp"}]}, "sources.0.kind: unknown 'ftp' (choices: url, wheel, "),
-        ({"sources": [{}]}, "sources.0.kind: missing (choices: url, wheel, path)"),
+        ({"sources": [{"kind": "ftp"}]}, "sources.0.kind: unknown 'ftp' (choices: url, wheel)"),
+        ({"sources": [{}]}, "sources.0.kind: missing (choices: url, wheel)"),
     ],
 )
 def test_a_bad_card_names_file_and_key(place, changes, message):

@@ -116,13 +116,18 @@ def check_providers(providers: Sequence[str], key: str, ask_onnxruntime: bool = 
             )
         tensorrt.load()
         return
-    if importlib.util.find_spec("onnxruntime") is None:
-        raise ModelError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
+    missing_package = ModelError(
+        "onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])"
+    )
     if not ask_onnxruntime:
+        if importlib.util.find_spec("onnxruntime") is None:
+            raise missing_package
         return
     try:
         import onnxruntime as ort
     except ImportError as error:
+        if error.name == "onnxruntime" and isinstance(error, ModuleNotFoundError):
+            raise missing_package from None
         raise ModelError(f"onnxruntime cannot be imported: {one_line(error)}") from None
     available = ort.get_available_providers()
     for provider in providers:

@@ -276,9 +276,10 @@ _MOST_MEMBERS = 12
 
 
 def _name_range(found: re.Match[str]) -> str:
-    """Return "visit room 1, room 2 and room 3"; a search and an empty or long range stay."""
+    """Return "visit room 1, room 2 and room 3"; a search, exceptions and a long range stay."""
     first, last = int(found["first"]), int(found["last"])
-    if re.search(r"\b(?:search|look|find)\b", found["lead"], re.I):
+    has_exception = re.search(r"\b(?:not|except\w*|without|avoid)\b", found.string[found.end() :])
+    if has_exception or re.search(r"\b(?:search|look|find)\b", found["lead"], re.I):
         return found[0]
     if not first < last < first + _MOST_MEMBERS:
         return found[0]

@@ -21,11 +21,6 @@ EVERY = "every"
 NO = "no "
 """Beginning of the proposition that another target failed: "no mug" for "mug"."""
 _FIRST_MARK = 0xF000  # placeholders are from Unicode's private-use area
-# The number of "shelf 12", which is another place than the shelf, but not that of "shelf 12 times".
-_NUMBER = (
-    r"\s+(?:number\s+)?\d+[a-z]?(?=[,;!?]|\.(?!\d)|$|"
-    r"\s+(?:and|or|then|but|first|for|in|on|at|near|next|before|after|until|once|twice)\b)"
-)
 
 
 def quote_places(instruction: str, names: Iterable[str]) -> str:
@@ -52,7 +47,7 @@ def mark_places(instruction: str, names: Iterable[str]) -> tuple[str, list[str]]
     # One group for each name: its number is that of the name.
     any_name = "|".join("(" + r"\s+".join(map(re.escape, name.split())) + ")" for name in known)
     named = re.compile(
-        rf"\b(?:(?:the|my|our|your)\s+)?(?:{any_name})(?![\w'-])(?!{_NUMBER})"
+        rf"\b(?:(?:the|my|our|your)\s+)?(?:{any_name})(?![\w'-])"
         r"(?=(?:\s+(?P<next>[\w'-]+))?)",
         re.I,
     )

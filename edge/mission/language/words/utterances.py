@@ -236,7 +236,6 @@ ORDERS = {
     "keep_out": """
         [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
-        [you|must|should|have to]* (skip|leave out) <room> {while}
         {not} {go} <room> {while}
         [to|for] you is (forbidden|prohibited|not allowed) <room> {while}
         no (robots|robot|entry|access|going) [in|into|to|inside|for robots]* <room> {while}
