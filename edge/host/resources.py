@@ -21,7 +21,7 @@ def find_config(name_or_path: str) -> Path:
     path = expand(name_or_path)
     builtin = data_dir("config") / f"{path.stem}.yaml"
     # A folder `demo` in the working directory does not hide the built-in name `demo`.
-    is_name = "/" not in name_or_path and path.is_dir()
+    is_name = "/" not in str(name_or_path) and path.is_dir()
     if path.exists() and not (is_name and builtin.exists()):
         return path
     if builtin.exists():
