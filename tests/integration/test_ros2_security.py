@@ -23,6 +23,7 @@ from edge.config.yaml_text import parse_yaml
 from edge.host.ports import free_port
 
 ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+BOOL = "std_msgs/msg/Bool"
 POSE, MAP = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/OccupancyGrid"
 SEND_GOAL = "nav2_msgs/action/NavigateToPose_SendGoal"
 ACTION = "/navigate_to_pose/_action/send_goal"
@@ -104,6 +105,8 @@ def test_the_service_has_only_the_rights_it_needs(graph):
         )
         moored = robot.publisher("/tf_static", TF, latched=True)
         moored.put(b"moored")
+        button = robot.publisher("/edge/stop", BOOL, latched=True)
+        button.put(b"pressed")
         drawn = service.publisher("/edge/occupancy", MAP, latched=True)
         drawn.put(b"map")
         sent: dict[str, Ros2Publisher] = {
@@ -117,6 +120,7 @@ def test_the_service_has_only_the_rights_it_needs(graph):
             "odom": service.subscription("/odom", (ODOMETRY,), 8, latched=False),
             "private": service.subscription("/private", (ODOMETRY,), 8, latched=False),
             "moored": service.subscription("/tf_static", (TF,), 8, latched=True),
+            "pressed": service.subscription("/edge/stop", (BOOL,), 8, latched=True),
             "goal": robot.subscription("/goal_pose", (POSE,), 8, latched=False),
             "cmd_vel": robot.subscription("/cmd_vel", (POSE,), 8, latched=False),
             "map of another": robot.subscription("/map", (MAP,), 8, latched=False),
@@ -129,7 +133,9 @@ def test_the_service_has_only_the_rights_it_needs(graph):
                 publisher.put(b"said")
             for name, subscription in heard.items():
                 counts[name] += len(subscription.take())
-            return min(counts["odom"], counts["goal"]) > 5 and counts["moored"] and counts["drawn"]
+            return min(counts["odom"], counts["goal"]) > 5 and all(
+                counts[name] for name in ("moored", "pressed", "drawn")
+            )
 
         until([robot, service], exchange, "what is allowed does not come")
         assert (counts["private"], counts["cmd_vel"], counts["map of another"]) == (0, 0, 0)
