@@ -80,8 +80,10 @@ def test_a_path_keeps_its_kinds_of_ground_under_new_ids(chosen, drivable, monkey
 )
 def test_an_object_of_another_colour_may_be_seen_yet(instruction, hopeless, monkeypatch):
     monkeypatch.setattr(plan_worker, "_scene", lambda request: street(Thing("van", 5.0, -1.0)))
+    monkeypatch.setattr(plan_worker, "_frame_detector", lambda request: None)  # without an image
     request = plan_worker.PlanRequest(
         simulated({}), instruction, 0, (1,), 1, None, None, (), ObjectMap(), None, None,
     )  # fmt: skip
     result = run_request(request)
     assert (result.refined, result.hopeless) == (None, hopeless)
+    assert "did not understand" in result.error
