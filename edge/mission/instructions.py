@@ -136,8 +136,7 @@ def _with_period(order: Translation, period: Period, speech: TidySpeech, text: s
             else ("say only the time between rounds")
         )
         raise unclear(text, f"unclear what is repeated how often; {hint}")
-    is_timed = any(name.startswith(f"{WAIT} until ") for name in ltl.propositions(order.formula))
-    if is_timed and not period.until:
+    if _timed_waits(order.formula) and not period.until:
         raise unclear(
             text, "unclear how often; say a time of day or a time between rounds, not both"
         )
@@ -180,12 +179,11 @@ def _translate_plain(
         hint = "the name of the object is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
     goals, bans = split_bans(translation.formula)
-    lone_waits = {ltl.eventually(ltl.ap(name)) for name in ltl.propositions(translation.formula)
-                  if name.startswith(f"{WAIT} until ")}  # fmt: skip
-    if len(goals) + len(bans) > 1 and not lone_waits.isdisjoint(goals):
+    timed_waits = _timed_waits(translation.formula)
+    if len(goals) + len(bans) > 1 and not timed_waits.isdisjoint(goals):
         raise unclear(text, "a time of day must begin a sequence of orders to go somewhere")
     english = translation.english + _note(order.speech.reasons, translation.formula)
-    if lone_waits and _DAY.search(text):
+    if timed_waits and _DAY.search(text):
         english += " (A time is the next one, today or tomorrow.)"
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
@@ -194,6 +192,12 @@ def _translate_plain(
     if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
         english += " (One that it knows, else the first that it finds.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
+
+
+def _timed_waits(formula: Formula) -> set[Formula]:
+    """Return `F "wait until 09:00"` for each wait until a time of day in a formula."""
+    names = (name for name in ltl.propositions(formula) if name.startswith(f"{WAIT} until "))
+    return {ltl.eventually(ltl.ap(name)) for name in names}
 
 
 def _place_names(site: Site) -> list[str]:

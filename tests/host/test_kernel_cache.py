@@ -52,14 +52,23 @@ def test_without_a_cache_folder_a_temporary_one_is_used(ours, places, monkeypatc
     assert "set EDGE_CACHE_DIR (or NUMBA_CACHE_DIR)" in record.getMessage()
 
 
-def test_a_temporary_folder_that_others_can_write_is_refused(places):
+def test_a_temporary_folder_that_others_can_write_is_refused(places, monkeypatch):
     folder = places / "temporary" / f"edge-kernels-{os.getuid()}"
     folder.mkdir()
     folder.chmod(0o777)
     with pytest.raises(ConfigError, match="other users can write here: set EDGE_CACHE_DIR"):
         chosen()
     folder.rmdir()
-    folder.symlink_to(places)
+    folder.mkdir(mode=0o700)
+    another = os.getuid() + 1
+    monkeypatch.setattr(os, "getuid", lambda: another)
+    folder.rename(folder.with_name(f"edge-kernels-{os.getuid()}"))  # that of another user
+    with pytest.raises(ConfigError, match="other users can write here"):
+        chosen()
+
+
+def test_a_link_is_no_temporary_folder(places):
+    (places / "temporary" / f"edge-kernels-{os.getuid()}").symlink_to(places)
     with pytest.raises(ConfigError, match="other users can write here"):
         chosen()
 

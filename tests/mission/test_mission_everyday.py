@@ -377,12 +377,16 @@ def test_a_manner_is_not_promised(said, formula, is_remarked):
 
 
 @pytest.mark.parametrize(
-    ("said", "is_remarked"),
-    [("Tonight at ten, go to the bed.", True), ("At 10 pm, go to the bed.", False)],
+    ("said", "formula", "is_remarked"),
+    [
+        ("Tonight at ten, go to the bed.", 'F ("wait until 22:00" & F bed)', True),
+        ("At 10 pm, go to the bed.", 'F ("wait until 22:00" & F bed)', False),
+        ("Go to the bed, starting today.", "F bed", False),
+    ],
 )
-def test_a_time_may_be_that_of_tomorrow(said, is_remarked):
+def test_a_time_may_be_that_of_tomorrow(said, formula, is_remarked):
     translation = translate(MissionConfig(), said)
-    assert str(translation.formula) == 'F ("wait until 22:00" & F bed)'
+    assert str(translation.formula) == formula
     assert ("today or tomorrow" in translation.english) is is_remarked
 
 

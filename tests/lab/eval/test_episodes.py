@@ -29,6 +29,12 @@ def test_episodes_are_seeded_free_and_far():
     assert len({e.id for e in planned}) == 4
 
 
+def test_starts_that_are_missing_are_reported(caplog):
+    planned = plan(HOUSE, [], ["bed"], 20, 0, 11.0)
+    assert 0 < len(planned) < 20
+    assert f"only {len(planned)} of 20 starts are 11 m or more" in caplog.text
+
+
 def test_a_start_too_near_is_reported():
     with pytest.raises(UserError, match="no world has a start 500 m or more of driving"):
         plan(HOUSE, [], ["bed"], 1, 0, 500.0)
